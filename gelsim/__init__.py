@@ -1,0 +1,1 @@
+"""gelsim: a tactile simulator that joins contact finite elements with light transport."""

@@ -1,0 +1,55 @@
+"""What can go wrong, as types.
+
+Every error that a user can cause derives from `GelsimError` and says in one line what was being done, which field, the value
+with its unit, and what is allowed. How a solve ended is a value (`SolveStatus`), so that one bad scene does not end a batch.
+"""
+
+from __future__ import annotations
+
+import enum
+
+
+class GelsimError(Exception):
+    """Base of every error that gelsim raises on purpose."""
+
+
+class SceneError(GelsimError, ValueError):
+    """A field of the scene is unknown, out of range, or contradicts another."""
+
+
+class MaterialError(GelsimError, ValueError):
+    """A hardness or a modulus lies outside the range its relation is known for."""
+
+
+class MeshingError(GelsimError):
+    """A surface cannot be filled with tetrahedra."""
+
+
+class RenderError(GelsimError):
+    """The renderer cannot run, or was given a scene that it cannot draw."""
+
+
+class DatasetError(GelsimError):
+    """An episode, a recording or a dataset on disk is not what it should be."""
+
+
+class SolveError(GelsimError):
+    """A press could not be solved to its end.
+
+    Attributes:
+        deformation: `gelsim.results.Deformation` of the states solved before, or None.
+    """
+
+    def __init__(self, message: str, deformation: object | None = None) -> None:
+        super().__init__(message)
+        self.deformation = deformation
+
+
+class SolveStatus(enum.Enum):
+    """How a press ended; the value is a sentence for people."""
+
+    CONVERGED = "every state converged"
+    MAX_ITERATIONS = "Newton did not converge even at the smallest load step"
+    LINE_SEARCH_STALLED = "no step along the Newton direction lowered the residual"
+    INVERTED_ELEMENT = "an element would have turned inside out"
+    NONFINITE = "the residual is not a finite number"

@@ -1,0 +1,85 @@
+"""What the stages hand to each other: frozen dataclasses of NumPy arrays in SI units. No backend array crosses a stage boundary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.errors import SolveStatus
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMotion:
+    """A boundary surface and how it moved over the recorded states."""
+
+    rest: NDArray[np.float64]
+    """Rest positions [m], shape (G, 3). Object: as placed at first touch."""
+    faces: NDArray[np.int32]
+    """Flat triangles over these nodes (each six-node face cut in four), shape (F, 3), outward."""
+    displacement: NDArray[np.float64]
+    """Displacements [m], shape (N, G, 3)."""
+    faces6: NDArray[np.int32]
+    """The six-node faces themselves, shape (F/4, 6): for sampling between nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """A solved press: N recorded states, the first is first touch with zero force. Always the whole body, also where a quarter was solved."""
+
+    approach: NDArray[np.float64]
+    """Travel of the object's base toward the window [m], shape (N,)."""
+    force: NDArray[np.float64]
+    """Force on the gel by the object [N], shape (N, 3)."""
+    contact_area: NDArray[np.float64]
+    """Area in contact [m²], shape (N,)."""
+    contact_pressure: NDArray[np.float64]
+    """Pressure at the gel's outer nodes [Pa], shape (N, G)."""
+    gel: SurfaceMotion
+    """The gel's outer (coated) surface."""
+    object: SurfaceMotion
+    """The object's surface."""
+    min_jacobian: NDArray[np.float64]
+    """Smallest det F over all quadrature points, shape (N,)."""
+    penetration: NDArray[np.float64]
+    """Largest overlap of the two surfaces [m], shape (N,)."""
+    newton_iterations: NDArray[np.int32]
+    linear_iterations: NDArray[np.int32]
+    seconds: NDArray[np.float64]
+    converged: NDArray[np.bool_]
+    status: SolveStatus = SolveStatus.CONVERGED
+    message: str = ""
+    """Which step failed, the residual there, and what to try; empty when converged."""
+    info: dict[str, object] = field(default_factory=dict)
+    """For report.json: mesh sizes, error estimate, symmetry used, solver, warnings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Membrane:
+    """The coated surface at one instant, ready to be drawn."""
+
+    positions: NDArray[np.float64]
+    """[m], shape (M, 3)."""
+    normals: NDArray[np.float64]
+    """Unit normals out of the gel (+z at rest), shape (M, 3)."""
+    uv: NDArray[np.float64]
+    """Material coordinates in [0, 1]² over the gel's rest rectangle, shape (M, 2): u = x/size + ½, v = y/size + ½."""
+    faces: NDArray[np.int32]
+    """Flat triangles, shape (F, 3)."""
+    marker_centres: NDArray[np.float64]
+    """[m], shape (K, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of the membrane."""
+
+    radiance: NDArray[np.float32]
+    """Linear RGB, shape (H, W, 3)."""
+    image: NDArray[np.uint8]
+    """8-bit sRGB, shape (H, W, 3)."""
+    height: NDArray[np.float32]
+    """z of the membrane seen by each pixel [m], shape (H, W); NaN where the camera sees no gel."""
+    marker_pixels: NDArray[np.float64]
+    """Projected marker centres (column, row) [px], shape (K, 2); NaN outside the picture."""
