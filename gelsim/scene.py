@@ -84,25 +84,38 @@ class Press:
 
 @dataclass(frozen=True)
 class Camera:
+    """The sensor's camera: a pinhole on the axis, in air behind the window; equations in docs/optics.md."""
+
     resolution: tuple[int, int] = (960, 720)
     """Of the real camera; what is rendered is [render] resolution, with the same field."""
     field_mm: Vec2 = (18.4, 13.8)
-    """Width and height of the gel's surface seen at rest."""
+    """Width and height of the gel's surface seen at rest. Pixels are square: a picture of another aspect shows a little more."""
     distance_mm: float = 40.0
-    """From the pinhole to the undeformed outer gel surface."""
+    """From the pinhole, through air, window and gel, to the undeformed outer gel surface."""
     fps: float = 30.0
+    exposure: float = 1.0
+    """Image value (1 = white) of a radiance of 1; fixed, so that frames and presses can be compared."""
+    white_balance: Vec3 = (1.0, 1.0, 1.0)
+    """Gains of red, green and blue."""
+    noise_sd: Vec3 = (0.0, 0.0, 0.0)
+    """Standard deviation of the camera's noise in red, green and blue [levels of 255]; 0 = none."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """One coloured emitter."""
+    """One coloured emitter: a Lambertian rectangle inside the window."""
 
     name: str = "light"
     position_mm: Vec3 = (0.0, 0.0, 0.0)
+    """Of its centre; z < 0 is inside the sensor."""
     direction: Vec3 = (0.0, 0.0, 1.0)
+    """It faces there; any length but zero."""
     size_mm: Vec2 = (1.0, 1.0)
+    """Along the gel, and across."""
     rgb: Vec3 = (1.0, 1.0, 1.0)
+    """Colour as the camera sees it on a white surface (linear)."""
     power: float = 1.0
+    """Radiant flux of a channel whose rgb is 1 [mW; only ratios matter, camera.exposure sets the scale]."""
 
 
 @dataclass(frozen=True)
@@ -115,10 +128,19 @@ class Lights:
 
 @dataclass(frozen=True)
 class Coating:
+    """The opaque reflective skin, seen from inside: a diffuse pigment and a lobe of metal flakes."""
+
     albedo: Vec3 = (0.5, 0.5, 0.5)
+    """Of the diffuse part."""
     specular: float = 0.0
     """Share of the semi-specular flake lobe, 0…1."""
     roughness: float = 0.3
+    """GGX width of the flakes' slopes."""
+    flake_reflectance: Vec3 = (0.9, 0.9, 0.9)
+    """Of a flake at normal incidence; about 0.9 is aluminium."""
+    grain: float = 0.0
+    """Relative standard deviation of the fixed pattern in the coat's reflectance."""
+    grain_size_mm: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -127,14 +149,25 @@ class Markers:
     """"grid" | "none"."""
     pitch_mm: float = 1.3
     radius_mm: float = 0.2
+    tilt_deg: float = 0.0
+    """Of the rows, about z."""
     jitter_mm: float = 0.0
+    """Standard deviation of a marker's place in x and in y."""
+    size_jitter: float = 0.0
+    """Relative standard deviation of a marker's radius."""
+    outline_jitter: float = 0.0
+    """Relative standard deviation of a marker's outline about its circle."""
     albedo: float = 0.03
+    seed: int = 0
+    """Of the jitter: the markers belong to the sensor, not to the press."""
 
 
 @dataclass(frozen=True)
 class Render:
     mode: str = "path"
-    spp: int = 64
+    """"path": with inter-reflection | "direct": light that comes straight from the emitters."""
+    spp: int = 16
+    """Light paths a pixel."""
     resolution: tuple[int, int] = (480, 360)
 
 
