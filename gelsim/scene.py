@@ -1,12 +1,24 @@
 """The scene: everything that decides a press and its pictures, as frozen dataclasses.
 
 One set of names: a field here is a key of the scene file and a flag of the command line, unit suffix included (docs/decisions/0001).
-Stages convert to SI where they read (`gelsim.units`). No arrays: a scene is hashable and prints whole.
+Stages convert to SI where they read (`gelsim.units`). No arrays: a scene is hashable and prints whole. A `Scene` that exists is valid:
+types, ranges and contradictions are checked when it is made, and an error names the field, its value with unit and what is allowed.
+`gelsim.scene_file` reads and writes it as TOML. The string under a field is its documentation and the help text of its flag.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
+import functools
+import math
+import types
+import typing
 from dataclasses import dataclass, field, replace
+
+from gelsim import materials
+from gelsim.errors import MaterialError, SceneError
+from gelsim.units import MESH_UNITS, unit_of
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
@@ -27,13 +39,19 @@ class Gel:
     """The maximum, at the centre; the inner face is bonded to the rigid window."""
     edge_thickness_mm: float = 1.0
     """Thickness at the middle of each edge (dome only)."""
-    shore_00: float | None = 17.0
-    """Exactly one of shore_00, shore_a, youngs_modulus_kpa."""
+    shore_00: float | None = None
+    """Hardness, 1 to 99. Exactly one of shore_00, shore_a, youngs_modulus_kpa; none means Shore 00-17."""
     shore_a: float | None = None
+    """Hardness on the A scale, 20 to 80."""
     youngs_modulus_kpa: float | None = None
+    """Small-strain Young's modulus, given instead of a hardness."""
     modulus_scale: float = 1.0
     """Multiplies the modulus that a Shore value gives: the literature disagrees by 2 (docs/physics.md)."""
     poissons_ratio: float = 0.499
+    """0 to 0.49999; silicone is 0.499 to 0.4999."""
+
+    def __post_init__(self) -> None:
+        _default_hardness(self, 17.0)
 
 
 @dataclass(frozen=True)
@@ -41,7 +59,9 @@ class Body:
     """The pressed object, [object] in the scene file. Frame: apex at the origin, base at z = height."""
 
     shape: str = "cylinder"
+    """What is pressed into the gel; "mesh" reads the file named by mesh."""
     radius_mm: float = 5.0
+    """Radius of hemisphere, cylinder, cone and punch."""
     height_mm: float = 25.0
     """From the contact apex to the base on the platen."""
     width_mm: float = 25.0
@@ -49,17 +69,27 @@ class Body:
     angle_deg: float = 90.0
     """Included angle of edge, corner and cone; of frustum: between flank and base, see docs."""
     mesh: str | None = None
+    """A watertight STL, OBJ or PLY file (shape = "mesh"), its lowest point the contact apex."""
     mesh_unit: str = "mm"
     """"mm" | "cm" | "m" | "in"."""
     rigid: bool = False
-    shore_00: float | None = 30.0
-    """Exactly one of shore_00, shore_a, youngs_modulus_kpa, unless rigid."""
+    """True: the object does not deform; no finite elements for it, only its surface."""
+    shore_00: float | None = None
+    """Hardness, 1 to 99. Exactly one of shore_00, shore_a, youngs_modulus_kpa unless rigid; none means Shore 00-30."""
     shore_a: float | None = None
+    """Hardness on the A scale, 20 to 80."""
     youngs_modulus_kpa: float | None = None
+    """Small-strain Young's modulus, given instead of a hardness."""
     modulus_scale: float = 1.0
+    """Multiplies the modulus that a Shore value gives."""
     poissons_ratio: float = 0.499
+    """0 to 0.49999; silicone is 0.499 to 0.4999."""
     law: str = "neo-hookean"
-    law_constants: tuple[tuple[str, float], ...] = ()
+    """Elastic law (its isochoric part)."""
+
+    def __post_init__(self) -> None:
+        if not self.rigid:
+            _default_hardness(self, 30.0)
 
 
 @dataclass(frozen=True)
@@ -75,11 +105,17 @@ class Press:
     force_n: float | None = 9.0
     """Stop early at this normal force; either may be left out, not both."""
     frames: int = 10
+    """Recorded states, equally spaced in approach; the first is first touch."""
     tilt_deg: Vec2 = (0.0, 0.0)
+    """Of the object about x and y."""
     offset_mm: Vec2 = (0.0, 0.0)
+    """Of the object's apex from the gel's centre."""
     shear_mm: Vec2 = (0.0, 0.0)
+    """Tangential travel, applied in proportion to the approach."""
     twist_deg: float = 0.0
+    """Turn about z, applied in proportion to the approach."""
     speed_mm_s: float = 6.0
+    """Approach speed; sets the time stamps only, the solution is quasi-static."""
 
 
 @dataclass(frozen=True)
@@ -173,6 +209,8 @@ class Render:
 
 @dataclass(frozen=True)
 class Scene:
+    """A whole press. Raises SceneError or MaterialError when a field is wrong or contradicts another."""
+
     sensor: Sensor = field(default_factory=Sensor)
     gel: Gel = field(default_factory=Gel)
     object: Body = field(default_factory=Body)
@@ -184,9 +222,228 @@ class Scene:
     markers: Markers = field(default_factory=Markers)
     render: Render = field(default_factory=Render)
     fidelity: str = "balanced"
-    """"fast" | "balanced" | "reference"."""
+    """"fast" | "balanced" | "reference": how fine the meshes and the load steps are."""
     seed: int = 0
+    """Of everything random: marker jitter, light sampling."""
 
-    def replace(self, **sections: object) -> "Scene":
-        """A copy with whole sections replaced."""
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            object.__setattr__(self, item.name, convert(getattr(self, item.name), field_types(Scene)[item.name], item.name))
+        _check(self)
+
+    def replace(self, **sections: object) -> Scene:
+        """A copy with whole sections replaced, checked like any other."""
         return replace(self, **sections)  # type: ignore[arg-type]
+
+
+# ---- checks ----
+
+STIFFNESS = ("shore_00", "shore_a", "youngs_modulus_kpa")
+"""Of these a gel or an object gives exactly one."""
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "fidelity": ("fast", "balanced", "reference"),
+    "gel.profile": ("dome", "flat"),
+    "object.shape": ("flat", "hemisphere", "cylinder", "edge", "corner", "cone", "box", "frustum", "punch", "mesh"),
+    "object.mesh_unit": tuple(MESH_UNITS),
+    "object.law": materials.LAWS,
+    "markers.layout": ("grid", "none"),
+    "render.mode": ("path",),
+}
+
+# Inclusive bounds of every number in a field, in the unit of its name. What has no row is only checked to be finite.
+LIMITS: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**32 - 1),
+    "gel.size_mm": (5, 100),
+    "gel.thickness_mm": (0.5, 20),
+    "gel.edge_thickness_mm": (0.2, 20),
+    "gel.youngs_modulus_kpa": (1, 1e7),
+    "gel.modulus_scale": (0.05, 20),
+    "gel.poissons_ratio": (0, 0.49999),
+    "object.radius_mm": (0.5, 50),
+    "object.height_mm": (1, 100),
+    "object.width_mm": (0.5, 100),
+    "object.angle_deg": (10, 170),
+    "object.youngs_modulus_kpa": (1, 1e7),
+    "object.modulus_scale": (0.05, 20),
+    "object.poissons_ratio": (0, 0.49999),
+    "contact.friction_coefficient": (0, 10),
+    "press.depth_mm": (1e-3, 50),
+    "press.force_n": (1e-3, 1000),
+    "press.frames": (2, 1000),
+    "press.tilt_deg": (-45, 45),
+    "press.offset_mm": (-50, 50),
+    "press.shear_mm": (-10, 10),
+    "press.twist_deg": (-90, 90),
+    "press.speed_mm_s": (1e-3, 1000),
+    "camera.resolution": (16, 4096),
+    "camera.field_mm": (1, 100),
+    "camera.distance_mm": (1, 1000),
+    "camera.fps": (0.1, 1000),
+    "lights.window_thickness_mm": (0, 50),
+    "lights.window_ior": (1, 3),
+    "lights.gel_ior": (1, 3),
+    "lights.lights.size_mm": (0.01, 200),
+    "lights.lights.rgb": (0, 1e6),
+    "lights.lights.power": (0, 1e9),
+    "coating.albedo": (0, 1),
+    "coating.specular": (0, 1),
+    "coating.roughness": (0.01, 1),
+    "markers.pitch_mm": (0.2, 50),
+    "markers.radius_mm": (0.02, 10),
+    "markers.jitter_mm": (0, 10),
+    "markers.albedo": (0, 1),
+    "render.spp": (1, 65536),
+    "render.resolution": (16, 4096),
+}
+
+
+@functools.cache
+def field_types(section: type) -> dict[str, typing.Any]:
+    """Field name -> resolved type of one of the dataclasses here."""
+    hints = typing.get_type_hints(section)
+    return {item.name: hints[item.name] for item in dataclasses.fields(section)}
+
+
+def nearest(name: str, known: typing.Iterable[str]) -> str:
+    """", did you mean …?" for a misspelt name, or "" when nothing known comes near."""
+    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {match[0]!r}?" if match else ""
+
+
+def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
+    """A value as its field's type: whole numbers become floats, lists tuples, tables dataclasses, "none" None.
+
+    Args:
+        value: As it came from TOML or from Python.
+        hint: The field's type.
+        name: Full name of the field, for messages.
+    Raises:
+        SceneError: The value is of another type, or a number is not finite.
+    """
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        if isinstance(value, dict):
+            value = hint(**{key: item for key, item in value.items() if known_key(key, hint, name)})
+        if not isinstance(value, hint):
+            raise SceneError(f"{name} = {value!r}: expected a table with {', '.join(field_types(hint))}")
+        for key, inner in field_types(hint).items():
+            object.__setattr__(value, key, convert(getattr(value, key), inner, f"{name}.{key}"))
+        return value
+    if isinstance(hint, types.UnionType):
+        options = hint.__args__
+        if type(None) in options and (value is None or (isinstance(value, str) and value.lower() == "none")):
+            return None
+        plain = [option for option in options if option is not type(None)]
+        if str in plain and isinstance(value, str):
+            return value
+        return convert(value, next(option for option in plain if option is not str or len(plain) == 1), name)
+    if typing.get_origin(hint) is tuple:
+        inner = typing.get_args(hint)
+        repeated = len(inner) == 2 and inner[1] is Ellipsis
+        if not isinstance(value, (list, tuple)) or (not repeated and len(value) != len(inner)):
+            raise SceneError(f"{name} = {value!r}: expected a list" + ("" if repeated else f" of {len(inner)} values"))
+        kinds = [inner[0]] * len(value) if repeated else inner
+        return tuple(convert(item, kind, name) for item, kind in zip(value, kinds, strict=True))
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise SceneError(f"{name} = {value}: expected a finite number")
+        return float(value)
+    if hint is bool or isinstance(value, bool) or not isinstance(value, hint):
+        if not (hint is bool and isinstance(value, bool)):
+            words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+            raise SceneError(f"{name} = {value!r}: expected {words[hint]}")
+    return value
+
+
+def known_key(key: str, section: type, name: str) -> bool:
+    """True, or a SceneError that names the nearest key of `section`; `name` is where it stood ("" for the top of a file)."""
+    known = field_types(section)
+    if key not in known:
+        full = f"{name}.{key}" if name else key
+        raise SceneError(f"unknown key {full!r}{nearest(key, known) or '; known are ' + ', '.join(known)}")
+    return True
+
+
+def _default_hardness(section: Gel | Body, shore_00: float) -> None:
+    if all(getattr(section, name) is None for name in STIFFNESS):
+        object.__setattr__(section, "shore_00", shore_00)
+
+
+def _numbers(value: object) -> list[float]:
+    if isinstance(value, tuple):
+        return [number for item in value for number in _numbers(item)]
+    return [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else []
+
+
+def _check_fields(section: object, name: str) -> None:
+    for item in dataclasses.fields(section):  # type: ignore[arg-type]
+        full = f"{name}.{item.name}" if name else item.name
+        value = getattr(section, item.name)
+        unit = unit_of(item.name)
+        if dataclasses.is_dataclass(value):
+            _check_fields(value, full)
+        elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
+            for part in value:
+                _check_fields(part, full)
+        if full in CHOICES and value not in CHOICES[full]:
+            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{nearest(str(value), CHOICES[full])}")
+        if full in LIMITS:
+            low, high = LIMITS[full]
+            if any(not low <= number <= high for number in _numbers(value)):
+                shown = " ".join(f"{number:g}" for number in _numbers(value))
+                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}")
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _check(scene: Scene) -> None:
+    _check_fields(scene, "")
+    gel, body, press = scene.gel, scene.object, scene.press
+    for name, section in (("gel", gel), ("object", body)):
+        given = [key for key in STIFFNESS if getattr(section, key) is not None]
+        if len(given) > 1:
+            values = " and ".join(f"{name}.{key} = {getattr(section, key):g}" for key in given)
+            raise SceneError(f"{values}: give exactly one of {', '.join(STIFFNESS)}")
+        if given:
+            try:
+                materials.youngs_modulus(section)
+            except MaterialError as error:
+                raise MaterialError(f"{name}.{given[0]}: {error}") from None
+    if gel.profile == "dome" and gel.edge_thickness_mm >= gel.thickness_mm:
+        raise SceneError(
+            f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is thinner there than gel.thickness_mm = {gel.thickness_mm:g} mm"
+        )
+    _check_object(body)
+    friction = scene.contact.friction_coefficient
+    if isinstance(friction, str) and friction != "stick":
+        raise SceneError(f'contact.friction_coefficient = {friction!r}: allowed is a number of 0 or more, or "stick"')
+    if press.depth_mm is None and press.force_n is None:
+        raise SceneError("press.depth_mm and press.force_n are both none: give one, or both to stop at what comes first")
+    if press.depth_mm is not None:
+        if press.depth_mm >= body.height_mm and body.shape != "mesh":
+            raise SceneError(f"press.depth_mm = {press.depth_mm:g} mm: it must be less than object.height_mm = {body.height_mm:g} mm")
+        if body.rigid and press.depth_mm > 0.8 * gel.thickness_mm:
+            raise SceneError(
+                f"press.depth_mm = {press.depth_mm:g} mm: a rigid object may go at most 0.8 of gel.thickness_mm deep, "
+                f"{0.8 * gel.thickness_mm:g} mm"
+            )
+    for axis, offset, size in zip("xy", press.offset_mm, gel.size_mm, strict=True):
+        if abs(offset) > 0.5 * size:
+            raise SceneError(f"press.offset_mm = {offset:g} mm along {axis}: the gel ends at {0.5 * size:g} mm from its centre")
+    if scene.markers.layout != "none" and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
+        raise SceneError(
+            f"markers.radius_mm = {scene.markers.radius_mm:g} mm: markers overlap unless it is less than half of "
+            f"markers.pitch_mm = {scene.markers.pitch_mm:g} mm"
+        )
+
+
+def _check_object(body: Body) -> None:
+    if (body.shape == "mesh") != (body.mesh is not None):
+        if body.mesh is None:
+            raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
+        raise SceneError(f'object.mesh = {body.mesh!r} is given, but object.shape = {body.shape!r}: say shape = "mesh"')
+    small = {"hemisphere": body.rigid, "cylinder": body.rigid}.get(body.shape, True)
+    if not small and body.radius_mm < 2.5:
+        raise SceneError(f"object.radius_mm = {body.radius_mm:g} mm: allowed for a soft {body.shape} is 2.5 … 50 mm")

@@ -1,0 +1,205 @@
+"""Elastic constants from what people know of a silicone: a durometer reading, or Young's modulus.
+
+    Shore 00   E = 9 F / (16 sqrt(R) d^1.5),  F = 0.203 + 0.00908 H [N],  d = 2.54 (1 - H/100) [mm],  R = 1.19 mm
+               Hertz contact of the type-00 indenter (a ball tip; spring and travel of ASTM D2240) on an incompressible half-space.
+    Shore A    log10 E[MPa] = 0.0235 S - 0.6403, trusted for 20..80 (Qi, Joyce and Boyce 2003, Rubber Chem. Technol. 76:419).
+
+The two agree where the scales meet: Shore A 45 gives 2.61 MPa, which is Shore 00 86.7; Yuan et al. (ICRA 2017) say 87.
+Left out: finite depth of the indenter (stiffer, up to 20 %), the presser foot (softer, 10-30 %), friction, thickness, time. The first two nearly
+cancel, so the relation is a definition of "the modulus a durometer sees" good to about 20 %, while tensile tests of the same silicones read
+30-65 % of it. Hence `modulus_scale`, a factor on both. docs/physics.md has the numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from gelsim.errors import MaterialError
+from gelsim.units import KPA, unit_of
+
+# Type 00 durometer, ASTM D2240.
+TIP_RADIUS = 1.19e-3
+"""Radius of the ball tip [m]."""
+TRAVEL = 2.54e-3
+"""Protrusion of the tip at reading 0 [m]."""
+SPRING_PRELOAD = 0.203
+"""Spring force at reading 0 [N]."""
+SPRING_RATE = 0.00908
+"""Spring force per Shore point [N]."""
+
+SHORE_00_RANGE = (1.0, 99.0)
+"""Accepted readings; ASTM D2240 trusts 10..90. At 0 the tip is all out, at 100 the relation diverges."""
+SHORE_A_RANGE = (20.0, 80.0)
+"""Range of the Shore A relation."""
+_QI_SLOPE, _QI_OFFSET = 0.0235, -0.6403
+
+LAWS = ("neo-hookean",)
+"""Isochoric laws that the mechanics has."""
+
+
+@dataclass(frozen=True)
+class ElasticMaterial:
+    """Constants of W = (mu/2)(I1 J^(-2/3) - 3) + (kappa/2)(J - 1)^2."""
+
+    mu: float
+    """Shear modulus [Pa]."""
+    kappa: float
+    """Bulk modulus [Pa]."""
+    law: str = "neo-hookean"
+    """The isochoric part, one of LAWS."""
+
+    @classmethod
+    def from_modulus(cls, youngs_modulus: float, poissons_ratio: float, law: str = "neo-hookean") -> ElasticMaterial:
+        """From Young's modulus [Pa] and Poisson's ratio in [0, 0.5): mu = E/(2(1+v)), kappa = E/(3(1-2v)).
+
+        Raises:
+            MaterialError: E is not positive, or v outside [0, 0.5).
+        """
+        if not (math.isfinite(youngs_modulus) and youngs_modulus > 0.0):
+            raise MaterialError(f"Young's modulus = {youngs_modulus:g} Pa: it must be positive")
+        if not 0.0 <= poissons_ratio < 0.5:
+            raise MaterialError(f"Poisson's ratio = {poissons_ratio:g}: allowed is 0 ≤ v < 0.5")
+        return cls(youngs_modulus / (2.0 * (1.0 + poissons_ratio)), youngs_modulus / (3.0 * (1.0 - 2.0 * poissons_ratio)), law)
+
+    @property
+    def youngs_modulus(self) -> float:
+        """Small-strain Young's modulus [Pa]: 9 kappa mu / (3 kappa + mu)."""
+        return 9.0 * self.kappa * self.mu / (3.0 * self.kappa + self.mu)
+
+    @property
+    def poissons_ratio(self) -> float:
+        """Small-strain Poisson's ratio: (3 kappa - 2 mu) / (2 (3 kappa + mu))."""
+        return (3.0 * self.kappa - 2.0 * self.mu) / (2.0 * (3.0 * self.kappa + self.mu))
+
+
+def modulus_from_shore_00(shore: float) -> float:
+    """Young's modulus [Pa] that a type-00 durometer reading stands for (Hertz; head of this module).
+
+    Args:
+        shore: Reading [Shore 00], accepted for 1..99, trusted for 10..90.
+    Raises:
+        MaterialError: Reading outside 1..99.
+    """
+    _check_reading(shore, SHORE_00_RANGE, "Shore 00")
+    force = SPRING_PRELOAD + SPRING_RATE * shore
+    depth = TRAVEL * (1.0 - shore / 100.0)
+    return 9.0 * force / (16.0 * math.sqrt(TIP_RADIUS) * depth**1.5)
+
+
+def modulus_from_shore_a(shore: float) -> float:
+    """Young's modulus [Pa] from a type-A durometer reading (Qi et al. 2003; head of this module).
+
+    Args:
+        shore: Reading [Shore A], 20..80.
+    Raises:
+        MaterialError: Reading outside 20..80: softer silicones belong on the 00 scale.
+    """
+    _check_reading(shore, SHORE_A_RANGE, "Shore A")
+    return 1e6 * 10.0 ** (_QI_SLOPE * shore + _QI_OFFSET)
+
+
+def shore_00_from_modulus(youngs_modulus: float) -> float:
+    """The Shore 00 reading of a silicone of this Young's modulus [Pa]; inverse of `modulus_from_shore_00`.
+
+    Raises:
+        MaterialError: The reading would lie outside 1..99.
+    """
+    low, high = SHORE_00_RANGE
+    if not modulus_from_shore_00(low) <= youngs_modulus <= modulus_from_shore_00(high):
+        raise MaterialError(_no_reading(youngs_modulus, modulus_from_shore_00(low), modulus_from_shore_00(high), "Shore 00"))
+    # E grows strictly with H (force up, depth down): bisection to the last bit of a float takes 60 halvings.
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if modulus_from_shore_00(middle) < youngs_modulus else (low, middle)
+    return 0.5 * (low + high)
+
+
+def shore_a_from_modulus(youngs_modulus: float) -> float:
+    """The Shore A reading of a silicone of this Young's modulus [Pa]; inverse of `modulus_from_shore_a`.
+
+    Raises:
+        MaterialError: The reading would lie outside 20..80.
+    """
+    low, high = (modulus_from_shore_a(shore) for shore in SHORE_A_RANGE)
+    # A relative 1e-12 lets the ends of the range through their own rounding.
+    if not low * (1.0 - 1e-12) <= youngs_modulus <= high * (1.0 + 1e-12):
+        raise MaterialError(_no_reading(youngs_modulus, low, high, "Shore A"))
+    return (math.log10(youngs_modulus / 1e6) - _QI_OFFSET) / _QI_SLOPE
+
+
+class Elastic(Protocol):
+    """What [gel] and [object] have in common."""
+
+    @property
+    def shore_00(self) -> float | None: ...
+    @property
+    def shore_a(self) -> float | None: ...
+    @property
+    def youngs_modulus_kpa(self) -> float | None: ...
+    @property
+    def modulus_scale(self) -> float: ...
+    @property
+    def poissons_ratio(self) -> float: ...
+
+
+class _ElasticBody(Elastic, Protocol):
+    @property
+    def rigid(self) -> bool: ...
+    @property
+    def law(self) -> str: ...
+
+
+class _Pressed(Protocol):
+    @property
+    def gel(self) -> Elastic: ...
+    @property
+    def object(self) -> _ElasticBody: ...
+
+
+def youngs_modulus(section: Elastic) -> float:
+    """Young's modulus [Pa] of a gel or an object, from whichever of shore_00, shore_a and youngs_modulus_kpa it gives.
+
+    `modulus_scale` multiplies what a reading gives, not a modulus that was given as such.
+
+    Raises:
+        MaterialError: A reading outside the range of its relation, or none of the three given.
+    """
+    if section.youngs_modulus_kpa is not None:
+        return section.youngs_modulus_kpa * KPA
+    if section.shore_00 is not None:
+        return section.modulus_scale * modulus_from_shore_00(section.shore_00)
+    if section.shore_a is not None:
+        return section.modulus_scale * modulus_from_shore_a(section.shore_a)
+    raise MaterialError("no hardness given: one of shore_00, shore_a and youngs_modulus_kpa is needed")
+
+
+def gel_material(scene: _Pressed) -> ElasticMaterial:
+    """The gel's constants."""
+    return ElasticMaterial.from_modulus(youngs_modulus(scene.gel), scene.gel.poissons_ratio)
+
+
+def object_material(scene: _Pressed) -> ElasticMaterial | None:
+    """The object's constants; None when it is rigid."""
+    if scene.object.rigid:
+        return None
+    return ElasticMaterial.from_modulus(youngs_modulus(scene.object), scene.object.poissons_ratio, scene.object.law)
+
+
+def hardness_label(section: Elastic) -> str:
+    """The hardness in words: "Shore 00-30", "Shore A 45", "E = 100 kPa"."""
+    if section.youngs_modulus_kpa is not None:
+        return f"E = {section.youngs_modulus_kpa:g} {unit_of('youngs_modulus_kpa')}"
+    return f"Shore 00-{section.shore_00:g}" if section.shore_00 is not None else f"Shore A {section.shore_a:g}"
+
+
+def _check_reading(shore: float, allowed: tuple[float, float], scale: str) -> None:
+    low, high = allowed
+    if not low <= shore <= high:
+        hint = "; softer silicones belong on the 00 scale" if scale == "Shore A" and shore < low else ""
+        raise MaterialError(f"{scale} reading {shore:g}: allowed is {low:g} … {high:g}{hint}")
+
+
+def _no_reading(modulus: float, low: float, high: float, scale: str) -> str:
+    return f"E = {modulus / KPA:g} kPa has no {scale} reading: the relation covers {low / KPA:.4g} … {high / KPA:.4g} kPa"

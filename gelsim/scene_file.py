@@ -1,0 +1,151 @@
+"""Scenes as TOML files, and how the layers of a scene lie on each other: defaults < sensor preset < file < flags.
+
+A layer is a nested dictionary with the keys of the dataclasses in `gelsim.scene`. A later layer beats an earlier one field by field, with one
+exception: of shore_00, shore_a and youngs_modulus_kpa the one given last displaces whichever came before. TOML has no null; the text "none"
+stands for it (`depth_mm = "none"`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from gelsim.errors import SceneError
+from gelsim.scene import STIFFNESS, Scene, Sensor, field_types, known_key, nearest
+
+PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
+"""What a sensor preset may fill."""
+
+Layer = dict[str, Any]
+
+
+def assets_folder() -> Path:
+    """The shipped assets: inside the package when it was installed from a wheel, beside it in a working tree."""
+    inside = Path(__file__).parent / "_assets"
+    return inside if inside.is_dir() else Path(__file__).parent.parent / "assets"
+
+
+def preset_names() -> list[str]:
+    """Names of the shipped sensor presets."""
+    return sorted(path.stem for path in (assets_folder() / "sensors").glob("*.toml"))
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Args:
+        path: A TOML file. Paths in it (object.mesh, sensor.preset) are relative to its folder.
+    Raises:
+        SceneError: No such file, not TOML, an unknown key, or a field out of range; MaterialError for a hardness out of range.
+    """
+    return build_scene(read_layer(path))
+
+
+def build_scene(*layers: Layer) -> Scene:
+    """A scene from layers, the last beats; the preset that they name lies below them all.
+
+    Raises:
+        SceneError: As for `load_scene`.
+    """
+    for layer in layers:
+        _check_layer(layer)
+    preset = Sensor().preset
+    for layer in layers:
+        preset = layer.get("sensor", {}).get("preset", preset)
+    merged: Layer = {}
+    for layer in (_preset_layer(preset), *layers):
+        for key, value in layer.items():
+            if isinstance(value, dict):
+                section = merged.setdefault(key, {})
+                if any(name in value for name in STIFFNESS):
+                    for name in STIFFNESS:
+                        section.pop(name, None)
+                section.update(value)
+            else:
+                merged[key] = value
+    return Scene(**merged)
+
+
+def read_layer(path: str | Path) -> Layer:
+    """One TOML file as a layer, with the paths in it made absolute."""
+    path = Path(path)
+    layer = _read_toml(path, "scene file")
+    _check_layer(layer)
+    for section, key in (("object", "mesh"), ("sensor", "preset")):
+        value = layer.get(section, {}).get(key)
+        if isinstance(value, str) and (key == "mesh" or value.endswith(".toml")):
+            layer[section][key] = str((path.parent / value).resolve())
+    return layer
+
+
+def scene_table(scene: Scene) -> Layer:
+    """A scene as nested plain values, None as "none": what `dump_scene` writes and report.json carries."""
+
+    def plain(value: Any) -> Any:
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            # A hardness that is not given is left out: two of the three keys in one layer would be an error.
+            pairs = ((item.name, getattr(value, item.name)) for item in dataclasses.fields(value))
+            return {name: plain(inner) for name, inner in pairs if not (name in STIFFNESS and inner is None)}
+        if isinstance(value, tuple):
+            return [plain(item) for item in value]
+        return "none" if value is None else value
+
+    table = plain(scene)
+    # TOML wants the plain keys of a table before its sub-tables.
+    return dict(sorted(table.items(), key=lambda pair: isinstance(pair[1], dict)))
+
+
+def dump_scene(scene: Scene) -> str:
+    """A scene as TOML, every field written out: reading it gives an equal scene."""
+    import tomli_w
+
+    return tomli_w.dumps(scene_table(scene))
+
+
+def _read_toml(path: Path, what: str) -> Layer:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{what} {str(path)!r} cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"{what} {str(path)!r} is not TOML: {error}") from None
+
+
+def _preset_layer(preset: object) -> Layer:
+    if not isinstance(preset, str):
+        raise SceneError(f"sensor.preset = {preset!r}: expected a preset's name or the path of a sensor file")
+    path = Path(preset)
+    if path.suffix != ".toml":
+        path = assets_folder() / "sensors" / f"{preset}.toml"
+        if preset not in preset_names():
+            known = preset_names()
+            raise SceneError(f"sensor.preset = {preset!r}: known are {', '.join(known)}, or a path ending in .toml{nearest(preset, known)}")
+    layer = _read_toml(path, "sensor preset")
+    try:
+        _check_layer(layer, PRESET_SECTIONS)
+    except SceneError as error:
+        raise SceneError(f"sensor preset {path.name}: {error}") from None
+    return layer
+
+
+def _check_layer(layer: Layer, sections: Iterable[str] | None = None) -> None:
+    """Unknown keys and two hardnesses at once: what can only be seen layer by layer."""
+    for key, value in layer.items():
+        known_key(key, Scene, "")
+        if sections is not None and key not in sections:
+            raise SceneError(f"{key!r} does not belong in a sensor preset: it fills {', '.join(sections)}")
+        kind = field_types(Scene)[key]
+        if not dataclasses.is_dataclass(kind):
+            continue
+        if not isinstance(value, dict):
+            raise SceneError(f"{key} = {value!r}: expected a table, [{key}]")
+        for name in value:
+            known_key(name, kind, key)  # type: ignore[arg-type]
+        given = [name for name in STIFFNESS if name in value]
+        if len(given) > 1:
+            raise SceneError(
+                f"{' and '.join(f'{key}.{name} = {value[name]}' for name in given)}: give exactly one of {', '.join(STIFFNESS)}"
+            )
