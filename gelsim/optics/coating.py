@@ -1,0 +1,93 @@
+"""How the coating reflects: pigment, metal flakes and markers, in material coordinates. Pure data.
+
+    f = (1 − m) [ (1 − s) g ρ / π  +  s g f_flake ]  +  m ρ_m / π
+
+ρ the pigment's albedo, s the flakes' share, f_flake a GGX microfacet conductor of constant reflectance and width α (Walter et al. 2007), m the share of
+a texel that markers cover, ρ_m their albedo, and g the coat's fixed grain (mean 1). Left out: layering and the flakes' own sparkle, the
+coat's translucency (it is opaque), and polarisation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.errors import SceneError
+from gelsim.markers import OUTLINE_HARMONICS, marker_layout
+from gelsim.scene import Scene
+
+TEXEL = 0.0125e-3
+"""Of the marker and grain textures [m]: a third of a default pixel; a marker of 0.2 mm spans 32."""
+
+
+def marker_coverage(scene: Scene) -> NDArray[np.float32]:
+    """Share of each texel that markers cover, shape (rows, columns): row 0 is y = -size/2, column 0 is x = -size/2."""
+    width, height = np.array(scene.gel.size_mm) * 1e-3
+    columns, rows = int(np.ceil(width / TEXEL)), int(np.ceil(height / TEXEL))
+    step = np.array([width / columns, height / rows])
+    coverage = np.zeros((rows, columns), np.float32)
+    layout = marker_layout(scene)
+    for centre, radius, outline in zip(layout.centres, layout.radii, layout.outline, strict=True):
+        reach = 2 * radius + step.max()
+        low = np.maximum(np.floor((centre - reach + [width / 2, height / 2]) / step).astype(int), 0)
+        high = np.minimum(np.ceil((centre + reach + [width / 2, height / 2]) / step).astype(int), [columns, rows])
+        x = (np.arange(low[0], high[0]) + 0.5) * step[0] - width / 2 - centre[0]
+        y = (np.arange(low[1], high[1]) + 0.5) * step[1] - height / 2 - centre[1]
+        distance, angle = np.hypot(x, y[:, None]), np.arctan2(y[:, None], x)
+        edge = radius * (1 + np.real(np.exp(-1j * OUTLINE_HARMONICS * angle[..., None]) @ outline))
+        # Anti-aliased: a straight edge through a texel covers it in proportion to its distance, within a texel's width.
+        patch = coverage[low[1] : high[1], low[0] : high[0]]
+        np.maximum(patch, np.clip((edge - distance) / step.mean() + 0.5, 0, 1), out=patch)
+    return coverage
+
+
+def grain_pattern(scene: Scene) -> NDArray[np.float32]:
+    """Relative reflectance of the coat, mean 1, shape (rows, columns), or (1, 1) without grain."""
+    coating = scene.coating
+    if coating.grain == 0:
+        return np.ones((1, 1), np.float32)
+    from scipy.ndimage import gaussian_filter
+
+    # A quarter of the grain as texel: finer would add nothing.
+    texel_mm = coating.grain_size_mm / 4
+    columns, rows = (int(np.ceil(side / texel_mm)) for side in scene.gel.size_mm)
+    pattern = gaussian_filter(np.random.default_rng([scene.markers.seed, 1]).standard_normal((rows, columns)), 1.5, mode="wrap")
+    return np.clip(1 + coating.grain * (pattern - pattern.mean()) / pattern.std(), 0, None).astype(np.float32)
+
+
+def coating_dict(scene: Scene) -> dict:
+    """The membrane's reflectance, for `scene_dict`.
+
+    Raises:
+        SceneError: An albedo, reflectance or share outside 0…1, or a roughness outside 0.01…1.
+    """
+    coating, markers = scene.coating, scene.markers
+    shares = (*coating.albedo, *coating.flake_reflectance, coating.specular, markers.albedo)
+    if min(shares) < 0 or max(shares) > 1:
+        raise SceneError("coating.albedo, coating.flake_reflectance, coating.specular and markers.albedo must lie within 0…1")
+    if not 0.01 <= coating.roughness <= 1:
+        raise SceneError(f"coating.roughness is {coating.roughness}; allowed are 0.01…1")
+    grain = grain_pattern(scene)[..., None]
+    coat: dict = {"type": "diffuse", "reflectance": _texture(np.clip(grain * coating.albedo, 0, 1))}
+    if coating.specular > 0:
+        flakes = {
+            "type": "roughconductor",
+            "distribution": "ggx",
+            "alpha": coating.roughness,
+            # "none" reflects everything; the colour is then specular_reflectance alone.
+            "material": "none",
+            "specular_reflectance": _texture(np.clip(grain * coating.flake_reflectance, 0, 1)),
+        }
+        coat = {"type": "blendbsdf", "weight": coating.specular, "pigment": coat, "flakes": flakes}
+    coverage = marker_coverage(scene)
+    if not coverage.any():
+        return coat
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [markers.albedo] * 3}}
+    return {"type": "blendbsdf", "weight": _texture(coverage[..., None]), "coat": coat, "marker": paint}
+
+
+def _texture(values: NDArray) -> dict:
+    """A texture of linear values over material coordinates; its first row is v = 0, a constant if it has one texel."""
+    if values.shape[:2] == (1, 1):
+        return {"type": "rgb", "value": values[0, 0].tolist()}
+    return {"type": "bitmap", "bitmap": np.ascontiguousarray(values, np.float32), "raw": True, "wrap_mode": "clamp"}

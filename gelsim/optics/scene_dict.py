@@ -1,0 +1,81 @@
+"""The whole optical scene as plain data, in Mitsuba's terms; readable and testable without Mitsuba.
+
+Lengths are millimetres here, and only here: the renderer's ray offset is about 1e-4 of (1 + largest coordinate), so metres would put
+shadows a tenth of a millimetre off. 4 × 4 arrays are transforms, 3-D arrays are bitmaps; `render` turns both into Mitsuba's own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gelsim.errors import SceneError
+from gelsim.optics.camera import apparent_distance, pixel_size
+from gelsim.optics.coating import coating_dict
+from gelsim.optics.lighting import emitter_dict
+from gelsim.results import Membrane
+from gelsim.scene import Scene
+
+MM = 1e3
+"""Millimetres in a metre."""
+
+INTEGRATORS = {
+    # Depth 4: light, membrane and up to two more reflections; a third adds less than albedo³ times a dent's view of itself, below 0.5 %.
+    "path": {"type": "path", "max_depth": 4, "rr_depth": 100, "hide_emitters": True},
+    "direct": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True},
+}
+
+
+def scene_dict(scene: Scene) -> dict:
+    """Camera, lights, coating and integrator; the membrane's mesh comes from `mesh_arrays`.
+
+    Raises:
+        SceneError: A field that the renderer cannot use; the message names it.
+    """
+    if scene.render.mode not in INTEGRATORS:
+        raise SceneError(f"render.mode is {scene.render.mode!r}; allowed are {', '.join(repr(mode) for mode in INTEGRATORS)}")
+    if scene.render.spp < 1:
+        raise SceneError(f"render.spp is {scene.render.spp}; at least 1 light path a pixel is needed")
+    return {
+        "type": "scene",
+        "integrator": dict(INTEGRATORS[scene.render.mode]),
+        "camera": camera_dict(scene),
+        "coating": coating_dict(scene),
+        **emitter_dict(scene),
+    }
+
+
+def camera_dict(scene: Scene) -> dict:
+    """The pinhole of `optics.camera`; its own x axis points left in the picture, and up is -y."""
+    width, height = scene.render.resolution
+    distance = apparent_distance(scene)
+    pose = np.diag([-1.0, -1.0, 1.0, 1.0])
+    pose[2, 3] = -distance * MM
+    return {
+        "type": "perspective",
+        "fov": float(np.degrees(2 * np.arctan(width * pixel_size(scene) / 2 / distance))),
+        "fov_axis": "x",
+        "near_clip": 0.1,
+        "far_clip": 1e4,
+        "to_world": pose,
+        # Every sample counts for its own pixel only (box), so that pixels are independent.
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+        # Correlated multi-jittered (Kensler 2013): also the choice among the lights is stratified, which removes colour noise.
+        "sampler": {"type": "multijitter", "sample_count": scene.render.spp},
+    }
+
+
+def mesh_arrays(membrane: Membrane) -> dict[str, np.ndarray]:
+    """The membrane as the light sees it, from inside: positions [mm], normals into the gel (-z at rest), uv, faces turned to match."""
+    return {
+        "vertex_positions": np.ascontiguousarray(membrane.positions * MM, np.float32),
+        "vertex_normals": np.ascontiguousarray(-membrane.normals, np.float32),
+        "vertex_texcoords": np.ascontiguousarray(membrane.uv, np.float32),
+        "faces": np.ascontiguousarray(membrane.faces[:, ::-1], np.uint32),
+    }
