@@ -1,0 +1,44 @@
+"""Contact finite elements: gel and object, solved together. `solve_press` is the door; everything else is behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gelsim.geometry import QuadraticSurface, TetMesh
+from gelsim.materials import ElasticMaterial
+from gelsim.results import Deformation
+from gelsim.scene import Scene
+
+
+def solve_press(
+    scene: Scene,
+    gel: TetMesh,
+    body: TetMesh | QuadraticSurface,
+    placement: tuple,
+    *,
+    gel_material: ElasticMaterial,
+    object_material: ElasticMaterial | None,
+    device: str = "auto",
+    progress: Callable[[int, int], None] | None = None,
+    throw: bool = True,
+) -> Deformation:
+    """Solves a press.
+
+    Args:
+        gel: The gel's mesh; its `symmetry` must be the body's.
+        body: The object's mesh, or only its surface where it is rigid; in the object's frame.
+        placement: Rotation (3, 3) and translation (3,) [m] that bring it to first touch.
+        object_material: None for a rigid object.
+        device: "auto" and "cpu" run here; "cuda" assembles on the GPU.
+        progress: Called with (states recorded, states wanted).
+    Raises:
+        SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
+    """
+    import warp as wp
+
+    wp.config.quiet = True
+    from gelsim.fem.quasistatic import PressProblem, run_press
+
+    name = "cuda:0" if device == "cuda" else "cpu"
+    problem = PressProblem(scene, gel, body, placement, gel_material, object_material, name)
+    return run_press(problem, progress=progress, throw=throw)

@@ -1,0 +1,375 @@
+"""Residual and tangent of one or two hyperelastic solids in mixed form, assembled by hand-written Warp kernels.
+
+The potential of Sussman and Bathe (1987), perturbed Lagrangian in the pressure p (positive in expansion):
+
+    Π(u, p) = ∫ Ŵ(Ī₁) + p (J - 1) - p²/(2κ) dV
+
+with quadratic u and continuous linear p. ∂Π/∂p = 0 gives p = κ Π_h(J - 1). Both solids share one numbering, one launch and one matrix;
+contact (contact.py) is the only coupling between them.
+
+Solver units are mm, kPa and mN (as kPa·mm²): they keep the two kinds of unknowns within a few orders of magnitude of each other.
+
+Layout: node i owns up to four unknowns (u_x, u_y, u_z, and p at vertices), numbered in a row; `local[i, c]` is the place of component c among them or
+-1 where it is prescribed. The upper triangle is stored by node pairs, so a kernel finds a value's slot with one short binary search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gelsim.fem.elements import TetQuadrature
+from gelsim.fem.hyperelastic import cofactor, isochoric_excess, law_curvature, law_energy, law_slope, volume_change
+
+wp.set_module_options({"max_unroll": 1, "enable_backward": False})
+
+Array = NDArray[np.float64]
+
+
+@wp.struct
+class PairPattern:
+    """The upper triangle by node pairs (see `SymmetricPattern`)."""
+
+    local: wp.array2d(dtype=wp.int32)
+    count: wp.array(dtype=wp.int32)
+    base: wp.array(dtype=wp.int32)
+    width: wp.array(dtype=wp.int32)
+    row: wp.array(dtype=wp.int32)
+    column: wp.array(dtype=wp.int32)
+    offset: wp.array(dtype=wp.int32)
+
+
+@wp.func
+def find_pair(pattern: PairPattern, i: wp.int32, j: wp.int32) -> wp.int32:
+    """Where the columns of node j begin within the rows of node i, i < j; -1 where the pair is not in the pattern."""
+    low = pattern.row[i]
+    high = pattern.row[i + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if pattern.column[middle] < j:
+            low = middle + 1
+        else:
+            high = middle
+    if low < pattern.row[i + 1]:
+        if pattern.column[low] == j:
+            return pattern.offset[low]
+    return -1
+
+
+@wp.func
+def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, ca: wp.int32, b: wp.int32, cb: wp.int32,
+              offset: wp.int32, value: wp.float64):  # fmt: skip
+    """Adds to the entry (node a component ca, node b component cb) and so to its mirror; for a = b only the upper half is kept.
+
+    `offset` is `find_pair` of the two nodes, unused for a = b.
+    """
+    i = a
+    j = b
+    li = pattern.local[a, ca]
+    lj = pattern.local[b, cb]
+    if b < a:
+        i = b
+        j = a
+        swap = li
+        li = lj
+        lj = swap
+    if li < 0 or lj < 0:
+        return
+    k = pattern.count[i]
+    start = pattern.base[i] + li * (k + pattern.width[i]) - li * (li - 1) // 2
+    if i == j:
+        if lj >= li:
+            wp.atomic_add(values, start + lj - li, value)
+    else:
+        wp.atomic_add(values, start + k - li + offset + lj, value)
+
+
+@wp.func
+def add_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, block: wp.mat33d):
+    """Adds the displacement block of nodes (a, b), in either order."""
+    offset = int(0)
+    if a != b:
+        offset = find_pair(pattern, wp.min(a, b), wp.max(a, b))
+    for c in range(3):
+        for d in range(3):
+            add_entry(pattern, values, a, c, b, d, offset, block[c, d])
+
+
+@lru_cache(maxsize=4)
+def element_kernels(points: int):
+    """The residual and the tangent kernel for a rule of so many points."""
+    rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
+    per_point = wp.types.matrix(shape=(points, 5), dtype=wp.float64)
+    Q = wp.constant(points)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
+    def residual(
+        tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
+        gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
+        law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64),
+        force: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64), energy: wp.array(dtype=wp.float64),
+        min_jacobian: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        t = wp.tid()
+        smallest = wp.float64(1.0e30)
+        stored = wp.float64(0.0)
+        for q in range(Q):
+            h = wp.mat33d()
+            for a in range(10):
+                h += wp.outer(displacement[tets[t, a]], gradients[t, q, a])
+            f = wp.identity(n=3, dtype=wp.float64) + h
+            dv = volume_change(h)
+            j = wp.float64(1.0) + dv
+            smallest = wp.min(smallest, j)
+            w = weights[t, q]
+            p = wp.float64(0.0)
+            for b in range(4):
+                p += shape[q, b] * pressure[tets[t, b]]
+            if j > wp.float64(0.0):
+                cof = cofactor(f)
+                scale = wp.pow(j, wp.float64(-2.0) / wp.float64(3.0))
+                excess = isochoric_excess(h, j)
+                i1 = wp.ddot(f, f)
+                stress = (wp.float64(2.0) * law_slope(law[t], excess) * scale) * (f - (i1 / (wp.float64(3.0) * j)) * cof) + p * cof
+                stored += w * (law_energy(law[t], excess) + p * p / (wp.float64(2.0) * kappa[t]))
+                for a in range(10):
+                    wp.atomic_add(force, tets[t, a], w * (stress * gradients[t, q, a]))
+                for b in range(4):
+                    wp.atomic_add(volume, tets[t, b], w * shape[q, b] * (dv - p / kappa[t]))
+        energy[t] = stored
+        min_jacobian[t] = smallest
+
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
+    def tangent(
+        tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
+        gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
+        law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), pattern: PairPattern, values: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        t = wp.tid()
+        # per point and node: f = F G_a, alpha = F⁻ᵀ G_a; P̂ G_a follows from both
+        fg = rows()
+        ag = rows()
+        scalars = per_point()
+        third = wp.float64(1.0) / wp.float64(3.0)
+        for q in range(Q):
+            h = wp.mat33d()
+            for a in range(10):
+                h += wp.outer(displacement[tets[t, a]], gradients[t, q, a])
+            f = wp.identity(n=3, dtype=wp.float64) + h
+            j = wp.float64(1.0) + volume_change(h)
+            inverse_transpose = cofactor(f) / j
+            scale = wp.pow(j, wp.float64(-2.0) * third)
+            excess = isochoric_excess(h, j)
+            p = wp.float64(0.0)
+            for b in range(4):
+                p += shape[q, b] * pressure[tets[t, b]]
+            w = weights[t, q]
+            scalars[q, 0] = w * wp.float64(2.0) * law_slope(law[t], excess) * scale  # c
+            scalars[q, 1] = w * wp.float64(4.0) * law_curvature(law[t], excess) * scale * scale  # weight of P̂ ⊗ P̂
+            scalars[q, 2] = wp.ddot(f, f) * third
+            scalars[q, 3] = w * p * j
+            scalars[q, 4] = w * j
+            for a in range(10):
+                g = gradients[t, q, a]
+                fa = f * g
+                aa = inverse_transpose * g
+                for c in range(3):
+                    fg[q * 10 + a, c] = fa[c]
+                    ag[q * 10 + a, c] = aa[c]
+        for a in range(10):
+            na = tets[t, a]
+            for b in range(a, 10):
+                nb = tets[t, b]
+                block = wp.mat33d()
+                coupling_ab = wp.vec3d()  # u_a with p_b
+                coupling_ba = wp.vec3d()  # u_b with p_a
+                pp = wp.float64(0.0)
+                for q in range(Q):
+                    fa = wp.vec3d(fg[q * 10 + a, 0], fg[q * 10 + a, 1], fg[q * 10 + a, 2])
+                    fb = wp.vec3d(fg[q * 10 + b, 0], fg[q * 10 + b, 1], fg[q * 10 + b, 2])
+                    aa = wp.vec3d(ag[q * 10 + a, 0], ag[q * 10 + a, 1], ag[q * 10 + a, 2])
+                    ab = wp.vec3d(ag[q * 10 + b, 0], ag[q * 10 + b, 1], ag[q * 10 + b, 2])
+                    slope = scalars[q, 0]
+                    i1 = scalars[q, 2]
+                    d = slope * wp.dot(gradients[t, q, a], gradients[t, q, b])
+                    pj = scalars[q, 3]
+                    two = wp.float64(2.0) * third
+                    outer_ab = wp.outer(aa, ab)
+                    block += wp.diag(wp.vec3d(d, d, d))
+                    block += wp.outer((-two * slope) * aa, fb) + wp.outer((-two * slope) * fa, ab)
+                    block += (two * i1 * slope + pj) * outer_ab + (slope * i1 - pj) * wp.transpose(outer_ab)
+                    if scalars[q, 1] != wp.float64(0.0):
+                        block += scalars[q, 1] * wp.outer(fa - i1 * aa, fb - i1 * ab)
+                    wj = scalars[q, 4]
+                    if b < 4:
+                        coupling_ab += (wj * shape[q, b]) * aa
+                        pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
+                    if a < 4:
+                        coupling_ba += (wj * shape[q, a]) * ab
+                offset = int(0)
+                if na != nb:
+                    offset = find_pair(pattern, wp.min(na, nb), wp.max(na, nb))
+                for i in range(3):
+                    for k in range(3):
+                        add_entry(pattern, values, na, i, nb, k, offset, block[i, k])
+                    if b < 4:
+                        add_entry(pattern, values, na, i, nb, 3, offset, coupling_ab[i])
+                    if a < 4 and a != b:
+                        add_entry(pattern, values, na, 3, nb, i, offset, coupling_ba[i])
+                if b < 4:
+                    add_entry(pattern, values, na, 3, nb, 3, offset, pp)
+
+    return residual, tangent
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricPattern:
+    """The upper triangle of the matrix: CSR arrays for the solver, node-pair arrays for the kernels."""
+
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    pairs: PairPattern
+    equation: NDArray[np.int32]
+    """Unknown of (node, component), or -1: shape (N, 4)."""
+
+    @property
+    def size(self) -> int:
+        return len(self.indptr) - 1
+
+
+def element_pairs(tets: NDArray[np.int32], node_count: int) -> NDArray[np.int64]:
+    """Sorted keys lower·N + higher of all node pairs that share a tet, without the diagonal."""
+    a, b = np.triu_indices(tets.shape[1], 1)
+    return np.unique(pair_keys(tets[:, a].ravel(), tets[:, b].ravel(), node_count))
+
+
+def pair_keys(a: NDArray[np.int32], b: NDArray[np.int32], node_count: int) -> NDArray[np.int64]:
+    return np.minimum(a, b).astype(np.int64) * node_count + np.maximum(a, b)
+
+
+def build_pattern(free: NDArray[np.bool_], keys: NDArray[np.int64], device: str) -> SymmetricPattern:
+    """The pattern of a set of node pairs.
+
+    Args:
+        free: Which of (u_x, u_y, u_z, p) of each node are unknowns, shape (N, 4).
+        keys: Sorted, unique pair keys (see `element_pairs`).
+    """
+    n = len(free)
+    count = free.sum(1).astype(np.int64)
+    local = np.where(free, np.cumsum(free, axis=1) - 1, -1).astype(np.int32)
+    first = np.concatenate([[0], np.cumsum(count)])
+    equation = np.where(free, first[:-1, None] + local, -1).astype(np.int32)
+
+    lower, higher = keys // n, keys % n
+    keep = (count[lower] > 0) & (count[higher] > 0)
+    lower, higher = lower[keep], higher[keep]
+    row = np.concatenate([[0], np.cumsum(np.bincount(lower, minlength=n))])
+    running = np.concatenate([[0], np.cumsum(count[higher])])
+    offset = running[:-1] - running[row[lower]]
+    width = running[row[1:]] - running[row[:-1]]
+
+    # CSR rows: node i's unknown number l holds its own later unknowns, then all of every neighbour's
+    node_of = np.repeat(np.arange(n), count)
+    place = np.arange(first[-1]) - first[node_of]
+    length = count[node_of] - place + width[node_of]
+    indptr = np.concatenate([[0], np.cumsum(length)])
+    base = np.zeros(n, np.int64)
+    has = count > 0
+    base[has] = indptr[first[:-1][has]]
+    neighbour = np.repeat(higher, count[higher])
+    within = np.arange(running[-1]) - np.repeat(running[:-1], count[higher])
+    tail = first[neighbour] + within  # the unknowns of all neighbours, row of nodes by row of nodes
+    indices = np.empty(indptr[-1], np.int32)
+    own_length = count[node_of] - place
+    own = np.repeat(np.arange(first[-1]) - np.concatenate([[0], np.cumsum(own_length)[:-1]]), own_length) + np.arange(own_length.sum())
+    slot_own = np.repeat(indptr[:-1] - np.concatenate([[0], np.cumsum(own_length)[:-1]]), own_length) + np.arange(own_length.sum())
+    indices[slot_own] = own
+    tail_length = width[node_of]
+    shift = np.concatenate([[0], np.cumsum(tail_length)[:-1]])
+    source = np.repeat(running[row[node_of]] - shift, tail_length) + np.arange(tail_length.sum())
+    slot_tail = np.repeat(indptr[:-1] + own_length - shift, tail_length) + np.arange(tail_length.sum())
+    indices[slot_tail] = tail[source]
+
+    pairs = PairPattern()
+    for name, array in dict(local=local, count=count, base=base, width=width, row=row, column=higher, offset=offset).items():
+        setattr(pairs, name, wp.array(np.ascontiguousarray(array, np.int32), dtype=wp.int32, device=device))
+    return SymmetricPattern(indptr.astype(np.int32), indices, pairs, equation)
+
+
+class Solids:
+    """One or two solids with a common node numbering, their state, and which of their unknowns are free. Solver units (mm, kPa).
+
+    Args:
+        rest: Positions of all nodes [mm], (N, 3); nodes of a rigid surface may be among them.
+        tets: (T, 10). quadrature: of the same tets, in mm.
+        law: (T, 3) constants c₁, c₂, c₃ [kPa]. kappa: (T,) bulk moduli [kPa].
+        fixed: Which displacement components are prescribed, (N, 3).
+    """
+
+    def __init__(self, rest: Array, tets: NDArray[np.int32], quadrature: TetQuadrature, law: Array, kappa: Array,
+                 fixed: NDArray[np.bool_], device: str) -> None:  # fmt: skip
+        self.device, self.rest, self.tets = device, rest, tets
+        self.node_count = len(rest)
+        in_solid = np.zeros(self.node_count, bool)
+        in_solid[tets] = True
+        vertex = np.zeros(self.node_count, bool)
+        vertex[tets[:, :4]] = True
+        self.free = np.concatenate([~fixed & in_solid[:, None], vertex[:, None]], axis=1)
+        self.unknowns = int(self.free.sum())
+        self.equation = np.where(self.free, np.cumsum(self.free.ravel()).reshape(self.free.shape) - 1, -1)
+        self.keys = element_pairs(tets, self.node_count)
+        self.vertex_volume = np.ones(self.node_count)
+        share = np.einsum("tq,qb->tb", quadrature.weights, quadrature.pressure_shape)
+        summed = np.bincount(tets[:, :4].ravel(), share.ravel(), self.node_count)
+        self.vertex_volume[vertex] = summed[vertex]
+
+        def array(data: object, dtype: object) -> wp.array:
+            return wp.array(data, dtype=dtype, device=device)
+
+        self._residual, self._tangent = element_kernels(quadrature.weights.shape[1])
+        self._rest = array(rest, wp.vec3d)
+        self.displacement = wp.zeros(self.node_count, dtype=wp.vec3d, device=device)
+        self.pressure = wp.zeros(self.node_count, dtype=wp.float64, device=device)
+        self._inputs = [
+            array(tets, wp.int32), self.displacement, self.pressure, array(quadrature.gradients, wp.vec3d),
+            array(quadrature.weights, wp.float64), array(quadrature.pressure_shape, wp.float64), array(law, wp.vec3d),
+            array(kappa, wp.float64),
+        ]  # fmt: skip
+        self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
+        self._element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)
+
+    def positions(self) -> wp.array:
+        return self._rest + self.displacement
+
+    def internal_force(self) -> tuple[Array, Array, float]:
+        """∂Π/∂u (N, 3) [mN], ∂Π/∂p (N,) [mm³], and the smallest det F over all quadrature points."""
+        force = wp.zeros(self.node_count, dtype=wp.vec3d, device=self.device)
+        volume = wp.zeros(self.node_count, dtype=wp.float64, device=self.device)
+        wp.launch(
+            self._residual, len(self.tets), [*self._inputs, force, volume, self._element_energy, self._element_jacobian], device=self.device
+        )
+        return force.numpy(), volume.numpy(), float(self._element_jacobian.numpy().min())
+
+    def energy(self) -> float:
+        """Stored energy of the last `internal_force` [mN·mm = µJ]."""
+        return float(self._element_energy.numpy().sum())
+
+    def add_tangent(self, pairs: PairPattern, values: wp.array) -> None:
+        wp.launch(self._tangent, len(self.tets), [*self._inputs, pairs, values], device=self.device)
+
+    def state(self) -> tuple[Array, Array]:
+        return self.displacement.numpy().copy(), self.pressure.numpy().copy()
+
+    def set_state(self, state: tuple[Array, Array]) -> None:
+        self.displacement.assign(state[0])
+        self.pressure.assign(state[1])
+
+    def move(self, start: tuple[Array, Array], step: Array, fraction: float) -> None:
+        """Sets the state `start` plus `fraction` of a step of the unknowns."""
+        change = np.zeros(self.free.shape)
+        change[self.free] = fraction * step
+        self.set_state((start[0] + change[:, :3], start[1] + change[:, 3]))

@@ -1,0 +1,530 @@
+"""Contact of the gel's outer surface with the object's surface: gap, pressure, friction, and their tangents.
+
+Point to surface: each quadrature point x of the gel's six-node faces looks for the closest point y(ξ) on the object's six-node faces, which are
+curved, so a sphere has no facets. With n the object's outward normal there, the gap is g = n·(x - y). The contact potential is a stiff, C²
+penalty per rest area of gel,
+
+    φ(g) = 0 (g ≥ 0),  k s³/(6ε) (0 < s = -g < ε),  k (s²/2 - εs/2 + ε²/6) (s ≥ ε),       p = -φ'(g),
+
+and its Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ with both bodies (Wriggers 2006, §9; there at g ≈ 0):
+
+    D²g = -T^α N_αᵀ - N_α T^αᵀ - b_αβ T^α T^βᵀ,   T^α·δ = a^α·(δx - δy),  N_α·δ = n·δy,α,  b_αβ = n·y,αβ .
+
+Friction is Coulomb's with an elastic stick of stiffness k_t: every point in contact holds an anchor on the object; with e the tangential part of
+x - y(anchor), the traction is k_t e up to μp and then follows e at μp; after each load step a sliding anchor is dragged along. p in μp is that of
+the current iterate in the residual and constant in the tangent, which keeps the matrix symmetric and costs an iteration or two.
+
+A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, and the object's points against the gel's faces (the
+gel carries the finer mesh, and `penetration` is what shows if that fails).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gelsim.fem.assembly import PairPattern, add_block, find_pair
+from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
+from gelsim.geometry import split_faces
+
+wp.set_module_options({"max_unroll": 1, "enable_backward": False})
+
+Array = NDArray[np.float64]
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+vec12d = wp.types.vector(length=12, dtype=wp.float64)
+
+# Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
+_SUB_CORNERS = np.array(
+    [[[0, 0], [0.5, 0], [0, 0.5]], [[0.5, 0], [1, 0], [0.5, 0.5]], [[0, 0.5], [0.5, 0.5], [0, 1]], [[0.5, 0], [0.5, 0.5], [0, 0.5]]]
+)
+
+
+@wp.func
+def tri6(xi: wp.vec2d) -> vec6d:
+    b = xi[0]
+    c = xi[1]
+    a = wp.float64(1.0) - b - c
+    two = wp.float64(2.0)
+    four = wp.float64(4.0)
+    one = wp.float64(1.0)
+    return vec6d(a * (two * a - one), b * (two * b - one), c * (two * c - one), four * a * b, four * b * c, four * c * a)
+
+
+@wp.func
+def tri6_d1(xi: wp.vec2d) -> vec6d:
+    b = xi[0]
+    c = xi[1]
+    a = wp.float64(1.0) - b - c
+    one = wp.float64(1.0)
+    four = wp.float64(4.0)
+    return vec6d(one - four * a, four * b - one, wp.float64(0.0), four * (a - b), four * c, -four * c)
+
+
+@wp.func
+def tri6_d2(xi: wp.vec2d) -> vec6d:
+    b = xi[0]
+    c = xi[1]
+    a = wp.float64(1.0) - b - c
+    one = wp.float64(1.0)
+    four = wp.float64(4.0)
+    return vec6d(one - four * a, wp.float64(0.0), four * c - one, -four * b, four * b, four * (a - c))
+
+
+@wp.func
+def on_face(x: wp.array(dtype=wp.vec3d), faces: wp.array2d(dtype=wp.int32), f: wp.int32, n: vec6d) -> wp.vec3d:
+    y = wp.vec3d()
+    for a in range(6):
+        y += n[a] * x[faces[f, a]]
+    return y
+
+
+@wp.func
+def clamp_to_face(xi: wp.vec2d) -> wp.vec2d:
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    b = wp.max(xi[0], zero)
+    c = wp.max(xi[1], zero)
+    if b + c > one:
+        shift = wp.float64(0.5) * (b + c - one)
+        b = wp.clamp(b - shift, zero, one)
+        c = one - b
+        if c > one:
+            c = one
+    return wp.vec2d(b, c)
+
+
+@wp.func
+def penalty_pressure(gap: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
+    s = -gap
+    if s <= wp.float64(0.0):
+        return wp.float64(0.0)
+    if s < eps:
+        return k * s * s / (wp.float64(2.0) * eps)
+    return k * (s - wp.float64(0.5) * eps)
+
+
+@wp.func
+def penalty_slope(gap: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
+    s = -gap
+    if s <= wp.float64(0.0):
+        return wp.float64(0.0)
+    if s < eps:
+        return k * s / eps
+    return k
+
+
+@wp.kernel(enable_backward=False)
+def closest_points(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), reach: wp.float32,
+    face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    i = wp.tid()
+    position = on_face(x, slave, i // points, shape[i % points])
+    query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position), reach)
+    face[i] = -1
+    gap[i] = wp.float64(1.0e9)
+    if not query.result:
+        return
+    f = query.face // 4
+    sub = query.face % 4
+    u = wp.float64(query.u)
+    v = wp.float64(query.v)
+    xi = u * corners[sub, 0] + v * corners[sub, 1] + (wp.float64(1.0) - u - v) * corners[sub, 2]
+    # Newton on |x - y(ξ)|², from the closest point of the flat triangle
+    for _ in range(6):
+        y = on_face(x, master, f, tri6(xi))
+        y1 = on_face(x, master, f, tri6_d1(xi))
+        y2 = on_face(x, master, f, tri6_d2(xi))
+        r = position - y
+        a11 = wp.dot(y1, y1)
+        a12 = wp.dot(y1, y2)
+        a22 = wp.dot(y2, y2)
+        g1 = wp.dot(r, y1)
+        g2 = wp.dot(r, y2)
+        det = a11 * a22 - a12 * a12
+        xi = clamp_to_face(xi + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det))
+    y = on_face(x, master, f, tri6(xi))
+    n = wp.normalize(wp.cross(on_face(x, master, f, tri6_d1(xi)), on_face(x, master, f, tri6_d2(xi))))
+    r = position - y
+    d = wp.length(r)
+    g = wp.dot(r, n)
+    # beside a sharp edge the closest point is the edge: a point that lies sideways of the face is outside, not under it
+    if g < wp.float64(0.0) and -g < wp.float64(0.7) * d and d > wp.float64(1.0e-4):
+        g = d
+    face[i] = f
+    xi_out[i] = xi
+    normal[i] = n
+    gap[i] = g
+
+
+@wp.kernel(enable_backward=False)
+def contact_force(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, weight: wp.array(dtype=wp.float64),
+    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    gap: wp.array(dtype=wp.float64), k: wp.float64, eps: wp.float64,
+    pressure: wp.array(dtype=wp.float64), force: wp.array(dtype=wp.vec3d),
+):  # fmt: skip
+    i = wp.tid()
+    p = wp.float64(0.0)
+    if face[i] >= 0:
+        p = penalty_pressure(gap[i], k, eps)
+    pressure[i] = p
+    if p > wp.float64(0.0):
+        t = (weight[i] * p) * normal[i]
+        m = shape[i % points]
+        n = tri6(xi[i])
+        for a in range(6):
+            wp.atomic_add(force, slave[i // points, a], -m[a] * t)
+            wp.atomic_add(force, master[face[i], a], n[a] * t)
+
+
+@wp.func
+def friction_traction(e: wp.vec3d, limit: wp.float64, kt: wp.float64) -> wp.vec3d:
+    """Traction on the object by the gel's drag (opposite on the gel); `limit` < 0 means unlimited."""
+    size = kt * wp.length(e)
+    if limit >= wp.float64(0.0) and size > limit:
+        return (limit / size * kt) * e
+    return kt * e
+
+
+@wp.kernel(enable_backward=False)
+def friction_force(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
+    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+    mu: wp.float64, kt: wp.float64, traction: wp.array(dtype=wp.vec3d), force: wp.array(dtype=wp.vec3d),
+):  # fmt: skip
+    i = wp.tid()
+    traction[i] = wp.vec3d()
+    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+        return
+    m = shape[i % points]
+    n = tri6(anchor_xi[i])
+    d = on_face(x, slave, i // points, m) - on_face(x, master, anchor_face[i], n)
+    e = d - wp.dot(d, normal[i]) * normal[i]
+    limit = wp.float64(-1.0)
+    if mu >= wp.float64(0.0):
+        limit = mu * pressure[i]
+    t = friction_traction(e, limit, kt)
+    traction[i] = -t
+    for a in range(6):
+        wp.atomic_add(force, slave[i // points, a], (weight[i] * m[a]) * t)
+        wp.atomic_add(force, master[anchor_face[i], a], (-weight[i] * n[a]) * t)
+
+
+@wp.func
+def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, block: wp.mat33d,
+                      missing: wp.array(dtype=wp.int32)):  # fmt: skip
+    if pattern.count[a] == 0 or pattern.count[b] == 0:
+        return
+    if a != b:
+        if find_pair(pattern, wp.min(a, b), wp.max(a, b)) < 0:
+            missing[0] = 1
+            return
+    add_block(pattern, values, a, b, block)
+
+
+@wp.kernel(enable_backward=False)
+def contact_tangent(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), k: wp.float64, eps: wp.float64,
+    pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    i = wp.tid()
+    f = face[i]
+    if f < 0 or gap[i] >= wp.float64(0.0):
+        return
+    w = weight[i]
+    p = w * penalty_pressure(gap[i], k, eps)
+    slope = w * penalty_slope(gap[i], k, eps)
+    n = normal[i]
+    m = shape[i % points]
+    s = tri6(xi[i])
+    s1 = tri6_d1(xi[i])
+    s2 = tri6_d2(xi[i])
+    y1 = on_face(x, master, f, s1)
+    y2 = on_face(x, master, f, s2)
+    a11 = wp.dot(y1, y1)
+    a12 = wp.dot(y1, y2)
+    a22 = wp.dot(y2, y2)
+    det = a11 * a22 - a12 * a12
+    c1 = (a22 * y1 - a12 * y2) / det
+    c2 = (a11 * y2 - a12 * y1) / det
+    # second derivatives of the six shape functions are constant
+    four = wp.float64(4.0)
+    eight = wp.float64(8.0)
+    x0 = x[master[f, 0]]
+    x3 = x[master[f, 3]]
+    x5 = x[master[f, 5]]
+    b11 = wp.dot(n, four * (x0 + x[master[f, 1]]) - eight * x3)
+    b22 = wp.dot(n, four * (x0 + x[master[f, 2]]) - eight * x5)
+    b12 = wp.dot(n, four * (x0 - x3 + x[master[f, 4]] - x5))
+    curvature = b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1))
+    core = slope * wp.outer(n, n) + p * curvature
+    side1 = p * wp.outer(c1, n)
+    side2 = p * wp.outer(c2, n)
+    for a in range(12):
+        na = int(0)
+        ca = wp.float64(0.0)
+        da1 = wp.float64(0.0)
+        da2 = wp.float64(0.0)
+        if a < 6:
+            na = slave[i // points, a]
+            ca = m[a]
+        else:
+            na = master[f, a - 6]
+            ca = -s[a - 6]
+            da1 = s1[a - 6]
+            da2 = s2[a - 6]
+        for b in range(a, 12):
+            nb = int(0)
+            cb = wp.float64(0.0)
+            db1 = wp.float64(0.0)
+            db2 = wp.float64(0.0)
+            if b < 6:
+                nb = slave[i // points, b]
+                cb = m[b]
+            else:
+                nb = master[f, b - 6]
+                cb = -s[b - 6]
+                db1 = s1[b - 6]
+                db2 = s2[b - 6]
+            block = (ca * cb) * core + (ca * db1) * side1 + (ca * db2) * side2
+            block += wp.transpose((cb * da1) * side1 + (cb * da2) * side2)
+            add_stencil_block(pattern, values, na, nb, block, missing)
+
+
+@wp.kernel(enable_backward=False)
+def friction_tangent(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
+    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+    mu: wp.float64, kt: wp.float64, pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    i = wp.tid()
+    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+        return
+    m = shape[i % points]
+    s = tri6(anchor_xi[i])
+    n = normal[i]
+    d = on_face(x, slave, i // points, m) - on_face(x, master, anchor_face[i], s)
+    e = d - wp.dot(d, n) * n
+    tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
+    stiffness = kt * tangential
+    size = wp.length(e)
+    if mu >= wp.float64(0.0) and kt * size > mu * pressure[i]:
+        direction = e / size
+        stiffness = (mu * pressure[i] / size) * (tangential - wp.outer(direction, direction))
+    stiffness = weight[i] * stiffness
+    for a in range(12):
+        na = int(0)
+        ca = wp.float64(0.0)
+        if a < 6:
+            na = slave[i // points, a]
+            ca = m[a]
+        else:
+            na = master[anchor_face[i], a - 6]
+            ca = -s[a - 6]
+        for b in range(a, 12):
+            nb = int(0)
+            cb = wp.float64(0.0)
+            if b < 6:
+                nb = slave[i // points, b]
+                cb = m[b]
+            else:
+                nb = master[anchor_face[i], b - 6]
+                cb = -s[b - 6]
+            add_stencil_block(pattern, values, na, nb, (ca * cb) * stiffness, missing)
+
+
+@wp.kernel(enable_backward=False)
+def drag_anchors(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    pressure: wp.array(dtype=wp.float64), mu: wp.float64, kt: wp.float64,
+    anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+):  # fmt: skip
+    """After a converged step: a point out of contact anchors where it would touch; a sliding one is left at the elastic limit."""
+    i = wp.tid()
+    if face[i] < 0:
+        anchor_face[i] = -1
+        return
+    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+        anchor_face[i] = face[i]
+        anchor_xi[i] = xi[i]
+        return
+    if mu < wp.float64(0.0):
+        return
+    n = normal[i]
+    d = on_face(x, slave, i // points, shape[i % points]) - on_face(x, master, anchor_face[i], tri6(anchor_xi[i]))
+    e = d - wp.dot(d, n) * n
+    size = kt * wp.length(e)
+    limit = mu * pressure[i]
+    if size > limit:
+        # the new anchor lies at -e·(limit/size) from the closest point, within its face
+        y1 = on_face(x, master, face[i], tri6_d1(xi[i]))
+        y2 = on_face(x, master, face[i], tri6_d2(xi[i]))
+        a11 = wp.dot(y1, y1)
+        a12 = wp.dot(y1, y2)
+        a22 = wp.dot(y2, y2)
+        det = a11 * a22 - a12 * a12
+        back = (-limit / size) * e
+        g1 = wp.dot(back, y1)
+        g2 = wp.dot(back, y2)
+        anchor_face[i] = face[i]
+        anchor_xi[i] = xi[i] + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det)
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """Constants of the penalty and of friction, in solver units."""
+
+    stiffness: float
+    """k [kPa/mm]."""
+    smoothing: float
+    """ε [mm]."""
+    friction: float
+    """μ; 0 for none, -1 for sticking."""
+    stick_stiffness: float
+    """k_t [kPa/mm]."""
+
+
+class SurfaceContact:
+    """The gel's faces against the object's, with the state of the current iterate. Positions are given in mm."""
+
+    def __init__(self, gel_faces: NDArray[np.int32], object_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
+                 points: int = 12) -> None:  # fmt: skip
+        self.law, self.device, self.points = law, device, points
+        self.gel_faces, self.object_faces = gel_faces, object_faces
+        bary, rule = triangle_quadrature(points)
+        self.shape_values = tri6_shape(bary)
+        tangents = np.einsum("fni,qnj->fqij", rest[gel_faces], tri6_gradient(bary))
+        area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1)
+        self.rest_weight = (area * rule).ravel()
+        count = len(self.rest_weight)
+
+        def array(data: object, dtype: object) -> wp.array:
+            return wp.array(data, dtype=dtype, device=device)
+
+        self.slave = array(gel_faces, wp.int32)
+        self.master = array(object_faces, wp.int32)
+        self.shape = array(self.shape_values, vec6d)
+        self.weight = array(self.rest_weight, wp.float64)
+        self.corners = array(_SUB_CORNERS, wp.vec2d)
+        flat = split_faces(object_faces)
+        self.used, local = np.unique(flat, return_inverse=True)
+        self.mesh = wp.Mesh(points=array(rest[self.used], wp.vec3f), indices=array(local.ravel(), wp.int32))
+        self.face = wp.full(count, -1, dtype=wp.int32, device=device)
+        self.xi = wp.zeros(count, dtype=wp.vec2d, device=device)
+        self.normal = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.gap = wp.full(count, 1e9, dtype=wp.float64, device=device)
+        self.pressure = wp.zeros(count, dtype=wp.float64, device=device)
+        self.traction = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
+        self.anchor_xi = wp.zeros(count, dtype=wp.vec2d, device=device)
+        self.missing = wp.zeros(1, dtype=wp.int32, device=device)
+
+    @property
+    def frictional(self) -> bool:
+        return self.law.friction != 0.0
+
+    def _stencil(self) -> list[object]:
+        return [self.slave, self.shape, self.points]
+
+    def update(self, x: wp.array, reach: float) -> None:
+        """Closest points and gaps of all quadrature points within `reach` [mm] for positions x."""
+        self.mesh.points.assign(x.numpy()[self.used].astype(np.float32))
+        self.mesh.refit()
+        wp.launch(
+            closest_points, len(self.rest_weight),
+            [x, *self._stencil(), self.mesh.id, self.master, self.corners, reach, self.face, self.xi, self.normal, self.gap],
+            device=self.device,
+        )  # fmt: skip
+
+    def add_force(self, x: wp.array, force: wp.array) -> None:
+        """Adds ∂φ/∂u of the contact and friction of the last `update` to `force`."""
+        law = self.law
+        wp.launch(
+            contact_force, len(self.rest_weight),
+            [*self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, law.stiffness, law.smoothing,
+             self.pressure, force],
+            device=self.device,
+        )  # fmt: skip
+        if self.frictional:
+            wp.launch(
+                friction_force, len(self.rest_weight),
+                [x, *self._stencil(), self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi,
+                 law.friction, law.stick_stiffness, self.traction, force],
+                device=self.device,
+            )  # fmt: skip
+
+    def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array) -> bool:
+        """Adds the Hessian; False where the pattern lacks a pair (then build a new one from `node_pairs`)."""
+        law = self.law
+        self.missing.zero_()
+        wp.launch(
+            contact_tangent, len(self.rest_weight),
+            [x, *self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, law.stiffness, law.smoothing,
+             pattern, values, self.missing],
+            device=self.device,
+        )  # fmt: skip
+        if self.frictional:
+            wp.launch(
+                friction_tangent, len(self.rest_weight),
+                [x, *self._stencil(), self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi,
+                 law.friction, law.stick_stiffness, pattern, values, self.missing],
+                device=self.device,
+            )  # fmt: skip
+        return int(self.missing.numpy()[0]) == 0
+
+    def drag(self, x: wp.array) -> None:
+        """Moves the friction anchors after a converged step."""
+        if self.frictional:
+            wp.launch(
+                drag_anchors, len(self.rest_weight),
+                [x, *self._stencil(), self.master, self.face, self.xi, self.normal, self.pressure, self.law.friction,
+                 self.law.stick_stiffness, self.anchor_face, self.anchor_xi],
+                device=self.device,
+            )  # fmt: skip
+
+    def save(self) -> tuple[Array, Array]:
+        """The friction history, to return to when a step is halved."""
+        return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy()
+
+    def restore(self, history: tuple[Array, Array]) -> None:
+        self.anchor_face.assign(history[0])
+        self.anchor_xi.assign(history[1])
+
+    def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Node pairs (gel, object) that contact may couple: of faces closer than `margin` [mm], and of the object faces around those."""
+        near = (self.gap.numpy() < margin) & (self.face.numpy() >= 0)
+        points = np.flatnonzero(near)
+        pairs = [np.stack([points // self.points, self.face.numpy()[near]], 1)]
+        if self.frictional:
+            held = (self.anchor_face.numpy() >= 0) & near
+            pairs.append(np.stack([np.flatnonzero(held) // self.points, self.anchor_face.numpy()[held]], 1))
+        pairs = np.unique(np.concatenate(pairs), axis=0)
+        ring_start, ring = self._rings()
+        length = np.diff(ring_start)[pairs[:, 1]]
+        slave = np.repeat(pairs[:, 0], length)
+        master = ring[np.repeat(ring_start[pairs[:, 1]] - np.concatenate([[0], np.cumsum(length)[:-1]]), length) + np.arange(length.sum())]
+        gel = np.repeat(self.gel_faces[slave], 6, axis=1).ravel()
+        body = np.tile(self.object_faces[master], (1, 6)).ravel()
+        return gel, body
+
+    def _rings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """For every object face the faces that share a vertex with it, itself included, as CSR arrays."""
+        if not hasattr(self, "_ring_cache"):
+            import scipy.sparse as sp
+
+            corners = self.object_faces[:, :3]
+            rows = np.repeat(np.arange(len(corners)), 3)
+            incidence = sp.csr_matrix((np.ones(rows.size, np.int8), (rows, corners.ravel())))
+            adjacency = (incidence @ incidence.T).tocsr()
+            self._ring_cache = (adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64))
+        return self._ring_cache

@@ -1,0 +1,132 @@
+"""Direct solution of the symmetric indefinite systems of Newton's method.
+
+The mixed displacement-pressure matrix [[A, Bᵀ], [B, -C]] is symmetric, indefinite and, with κ/μ up to 10⁵, badly scaled: an LDLᵀ
+factorisation with scaling, matching and Bunch-Kaufman pivots answers it in one go. Intel MKL's PARDISO does that on both cores; where MKL is
+not to be had (not x86), SciPy's SuperLU does the same unsymmetrically, several times slower. The choice is measured in docs/validation.md.
+
+One home for the matrix layout too: `SymmetricPattern`'s CSR arrays hold the upper triangle, rows sorted.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import glob
+import os
+import site
+import sys
+from ctypes.util import find_library
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+_MTYPE_SYMMETRIC_INDEFINITE = -2
+
+
+def find_mkl() -> str | None:
+    """Path or name of MKL's single dynamic library, or None."""
+    for prefix in (sys.prefix, site.USER_BASE or sys.prefix):
+        for path in sorted(glob.glob(os.path.join(prefix, "lib", "libmkl_rt*")) + glob.glob(os.path.join(prefix, "Library", "bin", "mkl_rt*.dll"))):
+            return path
+    return find_library("mkl_rt")
+
+
+class PardisoSolver:
+    """LDLᵀ by MKL PARDISO. `analyse` once a pattern, `factorise` once a matrix, `solve` once a right-hand side."""
+
+    name = "MKL PARDISO, LDLᵀ"
+
+    def __init__(self, threads: int | None = None) -> None:
+        path = find_mkl()
+        if path is None:
+            raise ImportError("no mkl_rt library")
+        os.environ.setdefault("MKL_THREADING_LAYER", "INTEL")
+        self._mkl = ctypes.CDLL(path)
+        if threads is not None:
+            self._mkl.MKL_Set_Num_Threads(ctypes.c_int(threads))
+        self._handle = np.zeros(64, np.int64)
+        self._iparm = np.zeros(64, np.int32)
+        self._iparm[0] = 1  # every value below is ours
+        self._iparm[1] = 2  # METIS nested dissection
+        self._iparm[7] = 1  # one step of iterative refinement
+        self._iparm[9] = 10  # pivots under 1e-10 of the norm are perturbed
+        self._iparm[10] = 1  # scaling
+        self._iparm[12] = 1  # weighted matching, needed with scaling for saddle points
+        self._iparm[20] = 1  # Bunch-Kaufman pivots
+        self._iparm[34] = 1  # 0-based indices
+        self._analysed = False
+
+    def _call(self, phase: int, b: NDArray[np.float64] | None = None) -> NDArray[np.float64] | None:
+        n = len(self._indptr) - 1
+        x = np.zeros(n) if b is None else np.zeros_like(b)
+        b = np.zeros(n) if b is None else np.ascontiguousarray(b)
+        error = ctypes.c_int32(0)
+
+        def integer(value: int) -> ctypes._Pointer:  # type: ignore[name-defined]
+            return ctypes.byref(ctypes.c_int32(value))  # type: ignore[return-value]
+
+        rhs = 1 if b.ndim == 1 else b.shape[0]
+        self._mkl.pardiso(
+            ctypes.c_void_p(self._handle.ctypes.data), integer(1), integer(1), integer(_MTYPE_SYMMETRIC_INDEFINITE), integer(phase),
+            integer(n), ctypes.c_void_p(self._values.ctypes.data), ctypes.c_void_p(self._indptr.ctypes.data),
+            ctypes.c_void_p(self._indices.ctypes.data), None, integer(rhs), ctypes.c_void_p(self._iparm.ctypes.data), integer(0),
+            ctypes.c_void_p(b.ctypes.data), ctypes.c_void_p(x.ctypes.data), ctypes.byref(error),
+        )  # fmt: skip
+        if error.value != 0:
+            raise np.linalg.LinAlgError(f"PARDISO phase {phase}: error {error.value}")
+        return x
+
+    def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32], values: NDArray[np.float64]) -> None:
+        """Orders the unknowns for a pattern (upper triangle, CSR). `values` matter for the scaling only."""
+        self.release()
+        self._indptr, self._indices, self._values = indptr, indices, values
+        self._call(11)
+        self._analysed = True
+
+    def factorise(self, values: NDArray[np.float64]) -> None:
+        self._values = np.ascontiguousarray(values)
+        self._call(22)
+
+    def solve(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = self._call(33, b)
+        assert x is not None
+        return x
+
+    def release(self) -> None:
+        if self._analysed:
+            self._call(-1)
+            self._analysed = False
+
+    def __del__(self) -> None:
+        try:
+            self.release()
+        except Exception:  # interpreter shutdown
+            pass
+
+
+class SuperLUSolver:
+    """The same through SciPy, for machines without MKL."""
+
+    name = "SciPy SuperLU"
+
+    def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32], values: NDArray[np.float64]) -> None:
+        self._indptr, self._indices = indptr, indices
+
+    def factorise(self, values: NDArray[np.float64]) -> None:
+        from scipy.sparse.linalg import splu
+
+        n = len(self._indptr) - 1
+        upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(n, n))
+        full = upper + sp.triu(upper, 1).T
+        self._lu = splu(full.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def solve(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._lu.solve(b.T).T if b.ndim > 1 else self._lu.solve(b)
+
+
+def make_solver() -> PardisoSolver | SuperLUSolver:
+    """The fastest solver that this machine has."""
+    try:
+        return PardisoSolver()
+    except (ImportError, OSError):
+        return SuperLUSolver()
