@@ -1,1 +1,54 @@
-"""gelsim: a tactile simulator that joins contact finite elements with light transport."""
+"""gelsim: a tactile simulator that joins contact finite elements with light transport.
+
+    scene = gelsim.load_scene("scenes/press_cylinder.toml")
+    press = gelsim.press(scene)
+    frames = gelsim.render(scene, press)
+
+Names are looked up when they are first used, so that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gelsim.errors import GelsimError, SceneError, SolveError
+    from gelsim.pipeline import press, render, simulate
+    from gelsim.results import Deformation, Frame, Membrane
+    from gelsim.scene import Scene
+    from gelsim.scene_file import load_scene
+
+_HOMES = {
+    "Deformation": "gelsim.results",
+    "Frame": "gelsim.results",
+    "GelsimError": "gelsim.errors",
+    "Membrane": "gelsim.results",
+    "Scene": "gelsim.scene",
+    "SceneError": "gelsim.errors",
+    "SolveError": "gelsim.errors",
+    "load_scene": "gelsim.scene_file",
+    "press": "gelsim.pipeline",
+    "render": "gelsim.pipeline",
+    "simulate": "gelsim.pipeline",
+}
+
+__all__ = [
+    "Deformation",
+    "Frame",
+    "GelsimError",
+    "Membrane",
+    "Scene",
+    "SceneError",
+    "SolveError",
+    "load_scene",
+    "press",
+    "render",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gelsim' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

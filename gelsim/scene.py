@@ -59,15 +59,19 @@ class Body:
     """The pressed object, [object] in the scene file. Frame: apex at the origin, base at z = height."""
 
     shape: str = "cylinder"
-    """What is pressed into the gel; "mesh" reads the file named by mesh."""
+    """flat: a block 25 x 25 mm. box: a block width_mm x length_mm. hemisphere: a ball's end on a straight round foot. cylinder: a rod lying along
+    y, its curved side down, on a straight block. punch: a flat-ended round rod, sharp rim. frustum: a truncated cone, narrow flat end down.
+    cone: apex down, on a straight foot. edge: a wedge, its ridge along y. corner: of a cube, one vertex down. mesh: the file named by mesh."""
     radius_mm: float = 5.0
-    """Radius of hemisphere, cylinder, cone and punch."""
+    """Of hemisphere, cylinder, punch, of a cone's foot and of a frustum's narrow end."""
     height_mm: float = 25.0
     """From the contact apex to the base on the platen."""
-    width_mm: float = 25.0
-    """Across, of flat, box, edge and corner blocks."""
-    angle_deg: float = 90.0
-    """Included angle of edge, corner and cone; of frustum: between flank and base, see docs."""
+    width_mm: float | None = None
+    """Along x, of flat, edge, corner (25 by default) and box (10)."""
+    length_mm: float | None = None
+    """Along y, of flat, edge, cylinder (25 by default) and box (15)."""
+    angle_deg: float | None = None
+    """Edge and cone: the angle they include (90 by default). Frustum: between flank and base plane (75); 90 is a punch."""
     mesh: str | None = None
     """A watertight STL, OBJ or PLY file (shape = "mesh"), its lowest point the contact apex."""
     mesh_unit: str = "mm"
@@ -116,6 +120,8 @@ class Press:
     """Turn about z, applied in proportion to the approach."""
     speed_mm_s: float = 6.0
     """Approach speed; sets the time stamps only, the solution is quasi-static."""
+    symmetry: str = "auto"
+    """"auto": solve half or a quarter where object, gel and motion share mirror planes; "none": always the whole."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +254,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "object.mesh_unit": tuple(MESH_UNITS),
     "object.law": materials.LAWS,
     "markers.layout": ("grid", "none"),
-    "render.mode": ("path",),
+    "render.mode": ("path", "direct"),
 }
 
 # Inclusive bounds of every number in a field, in the unit of its name. What has no row is only checked to be finite.

@@ -1,0 +1,7 @@
+"""`python -m gelsim` is `gelsim`."""
+
+import sys
+
+from gelsim.cli import main
+
+sys.exit(main())

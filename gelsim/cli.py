@@ -1,0 +1,242 @@
+"""The command line: `gelsim render | press | inspect | doctor` (what each writes: README.md).
+
+Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved is
+kept.
+Nothing heavy is imported before a command needs it, so that --help is instant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from gelsim.errors import GelsimError, SceneError, SolveError
+from gelsim.flags import Parser, add_scene_flags, layer_of
+from gelsim.scene import Scene
+from gelsim.scene_file import build_scene, read_layer
+
+OK, INTERNAL, BAD_INPUT, NUMERICS, INTERRUPTED = 0, 1, 2, 3, 130
+
+ABOUT = """\
+gelsim computes what a GelSight tactile sensor sees: finite elements of the gel and the object in contact, then light transport.
+
+  gelsim render --shape cylinder --shore 30              a soft cylinder, as a tactile video with all its numbers
+  gelsim render --shape hemisphere --rigid --radius-mm 4 --depth-mm 0.6
+  gelsim press --scene scenes/press_edge_tilted.toml     the mechanics alone
+  gelsim inspect out/cylinder-00-30                      what a result, a press.npz or a mesh file holds
+  gelsim doctor                                          what this machine can run
+"""
+USAGE = "%(prog)s [--scene FILE] [--shape SHAPE] [--shore N] [any field of the scene as a flag] [--out DIR]"
+RENDER_EXAMPLES = """\
+examples:
+  gelsim render --shape cylinder --shore 30 --out out/demo
+  gelsim render --shape punch --radius-mm 3 --shore 45 --shore-scale A --force-n 5 --depth-mm none
+  gelsim render --scene scenes/press_ball_rigid.toml --sensor gelsight_mini --resolution 640x480 --spp 64 --exr
+
+A flag beats the scene file, the file beats the sensor's preset, the preset beats the defaults."""
+PRESS_EXAMPLES = """\
+examples:
+  gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
+  gelsim press --scene scenes/press_ball_rigid.toml --probe points.csv     (points.csv: x_mm,y_mm)
+
+A flag beats the scene file, the file beats the sensor's preset, the preset beats the defaults."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command and returns its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments
+    wants_json = "--json" in arguments
+    with _clean_stdout(wants_json) as answer:
+        try:
+            options = _parser().parse_all(arguments)
+            result = options.run(options)
+            if wants_json:
+                answer(result)
+            return OK
+        except SolveError as error:
+            return _fail(error, NUMERICS, debug, answer if wants_json else None)
+        except GelsimError as error:
+            return _fail(error, BAD_INPUT, debug, answer if wants_json else None)
+        except KeyboardInterrupt:
+            print("gelsim: interrupted", file=sys.stderr)
+            return INTERRUPTED
+        except Exception as error:
+            hint = f"internal error, {type(error).__name__}: {error} (a bug; run again with --debug for the trace)"
+            return _fail(error, INTERNAL, debug, answer if wants_json else None, hint)
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="gelsim", description=ABOUT)
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
+    render = commands.add_parser("render", help="scene to tactile video: meshes, mechanics, light", epilog=RENDER_EXAMPLES, usage=USAGE)
+    _add_common(render, _render)
+    render.add_argument("--exr", action="store_true", help="also write the linear radiance of each frame, radiance/NNNN.exr")
+    press = commands.add_parser("press", help="the mechanics alone: press.npz and report.json", epilog=PRESS_EXAMPLES, usage=USAGE)
+    _add_common(press, _press)
+    press.add_argument("--probe", metavar="FILE.csv", help="sample the gel's outer surface at rest points x_mm,y_mm; writes probe.csv")
+    for command in (render, press):
+        add_scene_flags(command)
+    inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz or a mesh file holds")
+    inspect.add_argument("path", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
+    inspect.add_argument("--out", metavar="FILE.png", help="where to draw it (default: not drawn)")
+    inspect.add_argument("--mesh-unit", default="mm", choices=("mm", "cm", "m", "in"), help="unit of a mesh file (default: mm)")
+    inspect.add_argument("--force", action="store_true", help="write over an existing --out")
+    doctor = commands.add_parser("doctor", help="what this machine can run, and what to install for more")
+    for command, run in ((inspect, _inspect), (doctor, _doctor)):
+        _add_output_flags(command, run)
+    return parser
+
+
+def _add_output_flags(parser: Parser, run: Callable[[argparse.Namespace], dict[str, Any]]) -> None:
+    parser.set_defaults(run=run, parser=parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+    parser.add_argument("--debug", action="store_true", help="show the Python trace of an error")
+
+
+def _add_common(parser: Parser, run: Callable[[argparse.Namespace], dict[str, Any]]) -> None:
+    parser.add_argument("--scene", metavar="FILE", help="start from a scene file (TOML)")
+    parser.add_argument("--out", metavar="DIR", help="result folder (default: out/SHAPE-HARDNESS)")
+    parser.add_argument("--force", action="store_true", help="replace the results in an existing folder; other files in it stay")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on in an existing folder of the same scene: a press there is not solved again"
+    )
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+    _add_output_flags(parser, run)
+
+
+def _scene(options: argparse.Namespace) -> Scene:
+    return build_scene(*([read_layer(options.scene)] if options.scene else []), layer_of(options))
+
+
+def _default_folder(scene: Scene) -> Path:
+    body = scene.object
+    if body.rigid:
+        hardness = "rigid"
+    elif body.youngs_modulus_kpa is not None:
+        hardness = f"{body.youngs_modulus_kpa:g}kpa"
+    else:
+        hardness = f"00-{body.shore_00:g}" if body.shore_00 is not None else f"a-{body.shore_a:g}"
+    name = Path(body.mesh).stem if body.mesh else body.shape
+    return Path("out") / f"{name}-{hardness}"
+
+
+def _press(options: argparse.Namespace) -> dict[str, Any]:
+    return _run(options, render=False)
+
+
+def _render(options: argparse.Namespace) -> dict[str, Any]:
+    return _run(options, render=True)
+
+
+def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
+    scene = _scene(options)
+    probe = getattr(options, "probe", None)
+    from gelsim import pipeline
+
+    with _progress() as progress:
+        report = pipeline.run(
+            scene,
+            Path(options.out) if options.out else _default_folder(scene),
+            render_frames=render,
+            force=options.force,
+            resume=options.resume,
+            device=options.device,
+            probe=Path(probe) if probe else None,
+            radiance=getattr(options, "exr", False),
+            progress=progress,
+        )
+    if not options.json:
+        print(pipeline.summary(report))
+    return report
+
+
+def _inspect(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim import inspection
+
+    facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit)
+    if options.out:
+        out = Path(options.out)
+        if out.exists() and not options.force:
+            raise SceneError(f"--out {options.out}: exists; give --force to write over it")
+        inspection.draw(Path(options.path), out, mesh_unit=options.mesh_unit)
+        facts["drawing"] = str(out)
+    if not options.json:
+        print(inspection.describe(facts))
+    return facts
+
+
+def _doctor(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim import doctor
+
+    facts = doctor.examine()
+    if not options.json:
+        print(doctor.describe(facts))
+    return facts
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None] | None]:
+    """A bar on stderr for each stage; None when nobody looks at a terminal."""
+    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+        yield None
+        return
+    from tqdm import tqdm
+
+    bars: dict[str, tqdm] = {}
+
+    def show(stage: str, done: int, total: int) -> None:
+        if stage not in bars:
+            for bar in bars.values():
+                bar.close()
+            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, bar_format="{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}")
+        bars[stage].n = done
+        bars[stage].refresh()
+
+    try:
+        yield show
+    finally:
+        for bar in bars.values():
+            bar.close()
+
+
+@contextmanager
+def _clean_stdout(wanted: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """While it lasts, what libraries print on stdout goes to stderr; the function it gives prints the one JSON object."""
+    if not wanted:
+        yield lambda result: None
+        return
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    answers: list[dict[str, Any]] = []
+    try:
+        yield answers.append
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+        for result in answers:
+            print(json.dumps(result, allow_nan=False))
+
+
+def _fail(error: Exception, code: int, debug: bool, answer: Callable[[dict[str, Any]], None] | None, message: str | None = None) -> int:
+    if debug:
+        import traceback
+
+        traceback.print_exception(error)
+    line = " ".join((message or str(error)).split())
+    print(f"gelsim: {line}", file=sys.stderr)
+    if answer:
+        answer({"error": line, "kind": type(error).__name__, "exit_code": code})
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

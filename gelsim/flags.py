@@ -1,0 +1,190 @@
+"""Every field of the scene as a flag of the command line, with the field's documentation as its help.
+
+A field `object.radius_mm` is `--object.radius-mm`; fields of [object] and [press] also go by their own name, `--radius-mm`, and a few others have
+the short names in SHORT. What the flags say becomes one layer of the scene (`gelsim.scene_file`), the one that beats all others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, NoReturn
+
+from gelsim import scene as scene_module
+from gelsim.errors import SceneError
+from gelsim.scene import CHOICES, Scene, field_types, nearest
+from gelsim.scene_file import PRESET_SECTIONS, Layer
+from gelsim.units import unit_of
+
+SHORT = {
+    "sensor.preset": "--sensor",
+    "contact.friction_coefficient": "--friction",
+    "render.resolution": "--resolution",
+    "render.mode": "--mode",
+    "render.spp": "--spp",
+}
+OWN_NAME = ("object", "press")
+"""Sections whose fields are flags by their own name too."""
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with one-line errors that name the nearest flag."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=_Formatter, **options)
+        # argparse takes -1e-3 for a flag unless told otherwise.
+        self._negative_number_matcher = _NumberMatcher()
+
+    def error(self, message: str) -> NoReturn:
+        raise SceneError(message.replace("argument ", "flag ", 1) if message.startswith("argument ") else message)
+
+    def parse_all(self, arguments: list[str]) -> argparse.Namespace:
+        """Parse, and refuse what is left over.
+
+        Raises:
+            SceneError: An unknown flag, or a flag without its value.
+        """
+        options, rest = self.parse_known_args(arguments)
+        if rest:
+            known = [flag for action in options.parser._actions for flag in action.option_strings]
+            name = rest[0].split("=")[0]
+            raise SceneError(f"unknown flag {name!r}{nearest(name, known)}")
+        return options
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
+        # A field of two or three numbers: "X Y", not "X Y [X Y ...]".
+        return str(action.metavar) if action.nargs == "+" else super()._format_args(action, default_metavar)
+
+
+class _NumberMatcher:
+    def match(self, text: str) -> bool:
+        try:
+            float(text)
+        except ValueError:
+            return False
+        return True
+
+
+def add_scene_flags(parser: argparse.ArgumentParser) -> None:
+    """Adds a flag for every field of the scene, grouped by section."""
+    docs = _field_docs()
+    for section, kind in field_types(Scene).items():
+        if not dataclasses.is_dataclass(kind):
+            _add(parser, section, kind, docs["Scene"].get(section, ""), getattr(Scene, section))
+            continue
+        group = parser.add_argument_group(f"[{section}]")
+        assert isinstance(kind, type)
+        if section == "object":
+            group.add_argument("--shore", metavar="N", help="hardness of the object, a number on the scale named by --shore-scale")
+            group.add_argument("--shore-scale", choices=("00", "A"), default=None, help="scale of --shore: 00 (the default) or A")
+        for item in dataclasses.fields(kind):
+            doc = docs[kind.__name__].get(item.name, "")
+            _add(group, f"{section}.{item.name}", field_types(kind)[item.name], doc, item.default, section in PRESET_SECTIONS)
+
+
+def layer_of(options: argparse.Namespace) -> Layer:
+    """The flags that were given, as a layer.
+
+    Raises:
+        SceneError: --shore-scale without --shore.
+    """
+    layer: Layer = {}
+    for name, text in vars(options).items():
+        section, _, key = name.partition(".")
+        if text is None or section not in field_types(Scene):
+            continue
+        kind = field_types(Scene)[section]
+        if key:
+            layer.setdefault(section, {})[key] = parse_text(text, field_types(kind)[key], name)
+        else:
+            layer[section] = parse_text(text, kind, name)
+    if options.shore is not None:
+        key = "shore_a" if options.shore_scale == "A" else "shore_00"
+        layer.setdefault("object", {})[key] = parse_text(options.shore, float, "--shore")
+    elif options.shore_scale is not None:
+        raise SceneError(f"flag --shore-scale {options.shore_scale}: give the number too, --shore N")
+    return layer
+
+
+def parse_text(text: str | list[str], hint: Any, name: str) -> Any:
+    """What was typed as a value for a field of this type; `gelsim.scene.convert` checks it later.
+
+    Numbers that do not parse stay text, so that the check can name them.
+    """
+    if typing.get_origin(hint) is tuple:
+        words = [text] if isinstance(text, str) else text
+        inner = typing.get_args(hint)[0]
+        if dataclasses.is_dataclass(inner):
+            try:
+                return tomllib.loads("value = " + " ".join(words))["value"]
+            except tomllib.TOMLDecodeError as error:
+                raise SceneError(f"{name}: expected a TOML list of tables ({error})") from None
+        if len(words) == 1:
+            words = words[0].replace(",", " ").split() if inner is float else words[0].replace(",", " ").replace("x", " ").split()
+        return [parse_text(word, inner, name) for word in words]
+    assert isinstance(text, str)
+    kinds = hint.__args__ if isinstance(hint, types.UnionType) else (hint,)
+    if bool in kinds and text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (int, float):
+        if kind in kinds:
+            try:
+                return kind(text)
+            except ValueError:
+                pass
+    return text
+
+
+def _add(parser: Any, name: str, hint: Any, doc: str, default: Any, from_preset: bool = False) -> None:
+    section, _, key = name.partition(".")
+    flags = ["--" + name.replace("_", "-")]
+    if section in OWN_NAME:
+        flags.append("--" + key.replace("_", "-"))
+    if name in SHORT:
+        flags.append(SHORT[name])
+    words: dict[str, Any] = {"dest": name, "default": None}
+    if hint is bool:
+        words |= {"nargs": "?", "const": "true", "metavar": "true|false"}
+    elif typing.get_origin(hint) is tuple:
+        inner = typing.get_args(hint)
+        metavar = "WxH" if key == "resolution" else "TOML" if dataclasses.is_dataclass(inner[0]) else " ".join("XYZ"[: len(inner)])
+        words |= {"nargs": "+", "metavar": metavar}
+    else:
+        words["metavar"] = (unit_of(key) or {int: "N", float: "NUMBER"}.get(hint, "TEXT")).replace(" ", "-").upper().replace("°", "DEG")
+    if name in CHOICES:
+        words["metavar"] = "{" + ",".join(CHOICES[name]) + "}"
+    help_text = f"{doc} {_default_words(default, from_preset)}".strip().replace("%", "%%")
+    parser.add_argument(*flags[::-1], help=help_text, **words)
+
+
+def _default_words(default: Any, from_preset: bool) -> str:
+    if from_preset:
+        return "(default: the preset's)"
+    if default is None or default is dataclasses.MISSING:
+        return ""
+    shown = " ".join(str(item) for item in default) if isinstance(default, tuple) else str(default)
+    return f"(default: {shown.lower() if isinstance(default, bool) else shown})"
+
+
+def _field_docs() -> dict[str, dict[str, str]]:
+    """Class name -> field -> the string under it, read from the source: Python keeps no docstrings of fields."""
+    docs: dict[str, dict[str, str]] = {}
+    for node in ast.parse(Path(scene_module.__file__).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef):
+            docs[node.name] = {
+                field.target.id: " ".join(text.value.value.split())
+                for field, text in zip(node.body, node.body[1:], strict=False)
+                if isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+                and isinstance(text.value.value, str)
+            }
+    return docs
