@@ -253,6 +253,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "object.shape": ("flat", "hemisphere", "cylinder", "edge", "corner", "cone", "box", "frustum", "punch", "mesh"),
     "object.mesh_unit": tuple(MESH_UNITS),
     "object.law": materials.LAWS,
+    "press.symmetry": ("auto", "none"),
     "markers.layout": ("grid", "none"),
     "render.mode": ("path", "direct"),
 }
@@ -262,13 +263,14 @@ LIMITS: dict[str, tuple[float, float]] = {
     "seed": (0, 2**32 - 1),
     "gel.size_mm": (5, 100),
     "gel.thickness_mm": (0.5, 20),
-    "gel.edge_thickness_mm": (0.2, 20),
+    "gel.edge_thickness_mm": (0.05, 20),
     "gel.youngs_modulus_kpa": (1, 1e7),
     "gel.modulus_scale": (0.05, 20),
     "gel.poissons_ratio": (0, 0.49999),
     "object.radius_mm": (0.5, 50),
     "object.height_mm": (1, 100),
     "object.width_mm": (0.5, 100),
+    "object.length_mm": (0.5, 100),
     "object.angle_deg": (10, 170),
     "object.youngs_modulus_kpa": (1, 1e7),
     "object.modulus_scale": (0.05, 20),
@@ -286,6 +288,9 @@ LIMITS: dict[str, tuple[float, float]] = {
     "camera.field_mm": (1, 100),
     "camera.distance_mm": (1, 1000),
     "camera.fps": (0.1, 1000),
+    "camera.exposure": (1e-6, 1e6),
+    "camera.white_balance": (0, 100),
+    "camera.noise_sd": (0, 255),
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
     "lights.gel_ior": (1, 3),
@@ -295,10 +300,17 @@ LIMITS: dict[str, tuple[float, float]] = {
     "coating.albedo": (0, 1),
     "coating.specular": (0, 1),
     "coating.roughness": (0.01, 1),
+    "coating.flake_reflectance": (0, 1),
+    "coating.grain": (0, 1),
+    "coating.grain_size_mm": (0.01, 10),
     "markers.pitch_mm": (0.2, 50),
     "markers.radius_mm": (0.02, 10),
+    "markers.tilt_deg": (-180, 180),
     "markers.jitter_mm": (0, 10),
+    "markers.size_jitter": (0, 1),
+    "markers.outline_jitter": (0, 1),
     "markers.albedo": (0, 1),
+    "markers.seed": (0, 2**32 - 1),
     "render.spp": (1, 65536),
     "render.resolution": (16, 4096),
 }
@@ -417,9 +429,9 @@ def _check(scene: Scene) -> None:
                 materials.youngs_modulus(section)
             except MaterialError as error:
                 raise MaterialError(f"{name}.{given[0]}: {error}") from None
-    if gel.profile == "dome" and gel.edge_thickness_mm >= gel.thickness_mm:
+    if gel.profile == "dome" and gel.edge_thickness_mm > gel.thickness_mm:
         raise SceneError(
-            f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is thinner there than gel.thickness_mm = {gel.thickness_mm:g} mm"
+            f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is no thicker there than gel.thickness_mm = {gel.thickness_mm:g} mm"
         )
     _check_object(body)
     friction = scene.contact.friction_coefficient
