@@ -101,3 +101,88 @@ def outer_faces(tets: NDArray[np.int32]) -> NDArray[np.int32]:
     key = np.sort(faces[:, :3], axis=1)
     _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
     return faces[np.sort(first[count == 1])]
+
+
+# Mid-side nodes follow their vertices when vertices 0 and 1 trade places, which turns a mirrored tet or face right side out again.
+_TET_FLIP = np.array([1, 0, 2, 3, 4, 6, 5, 8, 7, 9])
+_FACE_FLIP = np.array([1, 0, 2, 3, 5, 4])
+AXES = {"x": 0, "y": 1}
+
+
+def split_faces(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Each six-node face (F, 6) as four flat triangles over the same nodes, (4F, 3): three corners, then the middle one."""
+    corners = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+    return np.ascontiguousarray(faces[:, corners].reshape(-1, 3), dtype=np.int32)
+
+
+def edges_of(cells: NDArray[np.int32], local: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Unique edges (E, 2), lower index first, and for each cell the edge of each of its local edges (C, L)."""
+    pairs = np.sort(cells[:, local].reshape(-1, 2).astype(np.int64), axis=1)
+    span = int(pairs.max()) + 1 if len(pairs) else 1
+    keys, inverse = np.unique(pairs[:, 0] * span + pairs[:, 1], return_inverse=True)
+    return np.stack([keys // span, keys % span], axis=1), inverse.reshape(len(cells), len(local))
+
+
+def quadratic_tets(vertices: NDArray[np.float64], tets: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Straight ten-node tets from four-node ones: nodes (V + E, 3), vertices first, and tets (T, 10)."""
+    edges, index = edges_of(tets, TET_EDGES)
+    return np.vstack([vertices, vertices[edges].mean(axis=1)]), np.hstack([tets, len(vertices) + index]).astype(np.int32)
+
+
+def quadratic_faces(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> QuadraticSurface:
+    """Straight six-node faces from flat triangles: the middles of the edges come after the vertices."""
+    edges, index = edges_of(faces, FACE_EDGES)
+    return QuadraticSurface(np.vstack([vertices, vertices[edges].mean(axis=1)]), np.hstack([faces, len(vertices) + index]).astype(np.int32))
+
+
+def face_shape_functions(barycentric: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (Q, 6) of the six-node face's shape functions at barycentric points (Q, 3)."""
+    a, b, c = barycentric.T
+    return np.stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a], axis=1)
+
+
+def jacobian_determinants(nodes: NDArray[np.float64], tets: NDArray[np.int32]) -> NDArray[np.float64]:
+    """det ∂x/∂ξ [m³] of isoparametric ten-node tets, shape (T, 8): at the four vertices and at the four Gauss points.
+
+    For a straight tet each value is six times its volume; a curved one must keep all of them positive.
+    """
+    s = (5.0 - np.sqrt(5.0)) / 20.0  # four-point rule of degree 2 (Keast 1986)
+    points = np.vstack([np.eye(4), np.full((4, 4), s) + (1.0 - 4.0 * s) * np.eye(4)])
+    gradient = np.zeros((8, 10, 4))  # with respect to the four barycentric coordinates
+    for vertex in range(4):
+        gradient[:, vertex, vertex] = 4.0 * points[:, vertex] - 1.0
+    for middle, (i, j) in enumerate(TET_EDGES):
+        gradient[:, 4 + middle, i] = 4.0 * points[:, j]
+        gradient[:, 4 + middle, j] = 4.0 * points[:, i]
+    gradient = gradient[:, :, 1:] - gradient[:, :, :1]
+    return np.linalg.det(np.einsum("tni,qnj->tqij", nodes[tets], gradient))
+
+
+def volume(mesh: TetMesh) -> float:
+    """Volume [m³] of a mesh of curved tets. The four-point rule is exact to degree 2; det ∂x/∂ξ has degree 3, so it is exact to O(h⁴)."""
+    return float(jacobian_determinants(mesh.rest_positions, mesh.tets)[:, 4:].sum() / 24.0)
+
+
+def mirror(mesh: TetMesh, axis: str) -> TetMesh:
+    """The mesh together with its mirror image in the plane `axis` = 0, which `mesh.symmetry` must name. Nodes on the plane are shared."""
+    assert axis in mesh.symmetry, f"mesh is not cut at {axis} = 0"
+    nodes, groups, tets = mesh.rest_positions, mesh.groups, mesh.tets
+    copy, image = _image(nodes, axis)
+    both = {name: np.vstack([faces, image[faces][:, _FACE_FLIP]]).astype(np.int32) for name, faces in groups.items()}
+    return TetMesh(np.vstack([nodes, copy]), np.vstack([tets, image[tets][:, _TET_FLIP]]), both, mesh.symmetry - {axis})
+
+
+def mirror_surface(surface: QuadraticSurface, axis: str) -> QuadraticSurface:
+    """A surface together with its mirror image in the plane `axis` = 0; nodes exactly on the plane are shared."""
+    copy, image = _image(surface.nodes, axis)
+    return QuadraticSurface(np.vstack([surface.nodes, copy]), np.vstack([surface.faces, image[surface.faces][:, _FACE_FLIP]]))
+
+
+def _image(nodes: NDArray[np.float64], axis: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Mirrored copies of the nodes off the plane, and for every node the index of its image."""
+    off = nodes[:, AXES[axis]] != 0.0
+    image = np.arange(len(nodes))
+    image[off] = len(nodes) + np.arange(int(off.sum()))
+    copy = nodes[off].copy()
+    copy[:, AXES[axis]] *= -1.0
+    return copy, image

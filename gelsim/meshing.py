@@ -1,0 +1,481 @@
+"""Fills the gel and the object with ten-node tetrahedra, fine where they meet and coarse where they do not.
+
+The filling is fTetWild's (Hu et al. 2020) through pytetwild; the edge length it aims at comes from a background mesh that carries
+
+    h(p) = min(h_far, h_contact + growth · d(p)),    d = distance to the box in which contact is expected.
+
+The box is the overlap of the undeformed object and gel at full depth plus a margin for the gel's drape, its half widths rounded up to a few
+classes, so that one gel mesh serves many presses. What comes back is turned right side out, its boundary put exactly onto the planes and
+curved patches of the shape (fTetWild keeps only within an envelope of it), and given mid-side nodes that lie on the exact shape.
+
+A symmetric body is meshed as the part its mirror planes cut out and mirrored up to what is asked for. Under a shape drawn along y both
+bodies are meshed in a space squeezed along y and stretched back: tets are long where nothing changes. The gel is always meshed as a flat block; a dome
+is the image of that block under z ↦ -T + (z + T)(T + height(x, y)) / T, which is exact on its faces and cannot fold.
+
+Left out: refinement along sharp rims away from the contact box, and adaptivity (the press itself reports its error).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import sys
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.errors import MeshingError
+from gelsim.geometry import (
+    AXES,
+    TET_EDGES,
+    TetMesh,
+    TriMesh,
+    jacobian_determinants,
+    mirror,
+    outer_faces,
+    quadratic_tets,
+    tet_quality,
+    tet_volumes,
+)
+from gelsim.scene import Scene
+from gelsim.shapes import (
+    DRAWN,
+    MM,
+    Array,
+    Plane,
+    Solid,
+    check_gel,
+    classify,
+    gel_height,
+    load_mesh,
+    membership,
+    placement,
+    press_depth,
+    rigid_surface,
+    shape_symmetry,
+    snap,
+    solid,
+    solid_surface,
+    zero_cuts,
+)
+
+_SCHEMA = 1
+"""Raise it when the same key would no longer give the same mesh."""
+_WORST_QUALITY = 0.02
+"""Smallest mean-ratio quality of a straight tet that is let through; fTetWild's own meshes reach 0.1 to 0.3."""
+_CHORD = 0.05
+"""Distance allowed between the facets that fTetWild is given and the curved shape, per edge length in contact."""
+_MOST_CURVED = 0.12
+"""Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
+_ATTEMPTS = ((0.05, 10.0, 40), (0.02, 6.0, 80), (0.1, 6.0, 80))
+"""How far fTetWild may move the surface before its vertices are put back, per edge length in contact; its AMIPS energy to stop at (a regular tet
+has 3); the passes it may take. The next is tried when one leaves a bad tet. A smaller envelope makes it follow the facets of its input with more tets."""
+_CLASSES = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 25.0, 50.0, 100.0]) * MM
+"""Half widths of the contact box [m], about √2 apart."""
+
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class MeshSizes:
+    """How fine a mesh is; lengths in metres."""
+
+    divisions: float
+    """Edges across the narrow half width of the contact box."""
+    finest: float
+    coarsest_contact: float
+    """Bounds of the edge length in contact: the gel's thickness wants two quadratic tets at least."""
+    growth: float
+    """Edge length gained per length away from the contact box."""
+    gel_far: float
+    object_far: float
+
+
+SIZES = {
+    "fast": MeshSizes(3.0, 0.20 * MM, 1.2 * MM, 0.7, 4.0 * MM, 5.0 * MM),
+    "balanced": MeshSizes(5.0, 0.14 * MM, 0.9 * MM, 0.6, 3.0 * MM, 4.0 * MM),
+    "reference": MeshSizes(8.0, 0.09 * MM, 0.6 * MM, 0.5, 2.0 * MM, 3.0 * MM),
+}
+
+
+# ---------------------------------------------------------------------------------------------------------------- size field
+@dataclass(frozen=True)
+class Footprint:
+    """Where contact is expected: |x| and |y| between `low` and `high` [m], in the gel's frame."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    stretch: float
+    """How many times longer than wide tets may be along y."""
+
+
+def footprint(scene: Scene) -> Footprint:
+    """The undeformed overlap at full depth with a margin for drape and tangential travel, in classes."""
+    surface = rigid_surface(scene, frozenset())
+    turn, shift = placement(scene, surface)
+    points = surface.nodes @ turn.T + shift
+    half = np.array(scene.gel.size_mm) * MM / 2
+    over = (np.abs(points[:, :2]) <= half).all(axis=1)
+    touched = points[over & (points[:, 2] - gel_height(scene.gel, points[:, :2]) < press_depth(scene))][:, :2]
+    if not len(touched):
+        touched = shift[None, :2]
+    margin = 0.1 * MM + np.abs(scene.press.shear_mm) * MM
+    low, high = touched.min(axis=0) - margin, touched.max(axis=0) + margin
+    inner = np.maximum(0.0, np.maximum(low, -high))
+    outer = np.maximum(-low, high)
+    high_class = np.minimum([_class_above(v) for v in outer], half)
+    low_class = [_class_below(v) for v in inner]
+    width = high_class - low_class
+    drawn = scene.object.shape in DRAWN and not scene.press.twist_deg
+    stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
+    return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch)
+
+
+def _class_above(value: float) -> float:
+    return float(_CLASSES[min(np.searchsorted(_CLASSES, value * (1 - 1e-9)), len(_CLASSES) - 1)])
+
+
+def _class_below(value: float) -> float:
+    below = np.searchsorted(_CLASSES, value, side="right")
+    return float(_CLASSES[below - 1]) if below else 0.0
+
+
+def _contact_edge(area: Footprint, sizes: MeshSizes) -> float:
+    half = [(h - lo) / (2 if lo else 1) for lo, h in zip(area.low, area.high, strict=True)]
+    return float(np.clip(min(half[0], half[1]) / sizes.divisions, sizes.finest, sizes.coarsest_contact))
+
+
+@dataclass(frozen=True)
+class SizeField:
+    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high]."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    contact: float
+    growth: float
+    far: float
+
+    def __call__(self, points: Array) -> Array:
+        folded = np.concatenate([np.abs(points[..., :2]), points[..., 2:]], axis=-1)
+        away = np.maximum(np.maximum(self.low - folded, folded - self.high), 0.0)
+        return np.minimum(self.far, self.contact + self.growth * np.linalg.norm(away, axis=-1))
+
+    def squeezed(self, stretch: float) -> SizeField:
+        """The same field in the space squeezed along y."""
+        low, high = list(self.low), list(self.high)
+        low[1], high[1] = low[1] / stretch, high[1] / stretch
+        return SizeField((low[0], low[1], low[2]), (high[0], high[1], high[2]), self.contact, self.growth, self.far)
+
+    def background(self, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int32], Array]:
+        """A tetrahedral mesh over the bounding box, its points close where the field is small, and the field at the points."""
+        lines = []
+        for axis in range(3):
+            kinks = {float(lower[axis]), float(upper[axis])}
+            for k in (self.low[axis], self.high[axis]):
+                kinks |= {k, -k} if axis < 2 else {k}
+            stops = sorted(k for k in kinks if lower[axis] <= k <= upper[axis])
+            line = [stops[0]]
+            for a, b in zip(stops[:-1], stops[1:], strict=True):
+                line += _graded(a, b, lambda s, axis=axis: self._along(axis, s))
+            lines.append(np.array(line))
+        shape = tuple(len(line) for line in lines)
+        points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+        number = np.arange(len(points)).reshape(shape)
+        corner = [number[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        paths = [(1, 2), (1, 4), (2, 1), (2, 4), (4, 1), (4, 2)]  # Kuhn: six tets along the paths from corner 0 to corner 7
+        tets = np.vstack([np.stack([corner[0], corner[a], corner[a + b], corner[7]], axis=1) for a, b in paths])
+        return points, tets.astype(np.int32), self(points)
+
+    def _along(self, axis: int, value: float) -> float:
+        """The smallest field on the plane where coordinate `axis` is `value`."""
+        v = abs(value) if axis < 2 else value
+        return min(self.far, self.contact + self.growth * max(self.low[axis] - v, v - self.high[axis], 0.0))
+
+
+def _graded(a: float, b: float, size: Callable[[float], float]) -> list[float]:
+    """Points from a (left out) to b, each step at most two local edge lengths."""
+    out, at = [], a
+    while True:
+        step = 2.0 * min(size(at), size(min(b, at + 2.0 * size(at))))
+        if at + 1.3 * step >= b:
+            return [*out, b]
+        at += step
+        out.append(at)
+
+
+# ---------------------------------------------------------------------------------------------------------------- the two bodies
+def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None) -> TetMesh:
+    """The gel, cut at the planes of `symmetry`; groups "bonded" (inner face), "coated" (outer face) and "side".
+
+    Args:
+        progress: Told in one line what is being meshed, when it is not in the cache; None writes it to stderr if that is a terminal.
+    Raises:
+        SceneError: The gel's fields make no solid.
+        MeshingError: The filling failed or is of too low quality.
+    """
+    check_gel(scene.gel)
+    sizes, area = SIZES[scene.fidelity], footprint(scene)
+    x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
+    field = SizeField((*area.low, -0.5 * thickness), (*area.high, 0.0), _contact_edge(area, sizes), sizes.growth, sizes.gel_far)
+    block = Solid(
+        tuple(Plane(n, d) for n, d in (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), 0), ((0, -1, 0), 0))),
+        ("coated", "bonded", "side", "side", "x", "y"),
+        np.array([[i, j, k] for i in (0.0, x) for j in (0.0, y) for k in (-thickness, 0.0)]),
+    )
+    vertices, faces, _ = solid_surface(block, np.inf, np.inf)
+    mesh = _cached_fill(TriMesh(vertices, faces), block, field, area.stretch, "the gel", progress)
+    nodes = mesh.rest_positions.copy()
+    share = (nodes[:, 2] + thickness) / thickness
+    nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(scene.gel, nodes[:, :2])) - thickness)
+    mesh = TetMesh(_unfolded(nodes, mesh.tets, 1.0), mesh.tets, mesh.groups, mesh.symmetry)
+    _check(mesh, "the gel")
+    return _mirrored(mesh, symmetry)
+
+
+def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None) -> TetMesh:
+    """The object in its own frame, cut at the planes of `symmetry`; groups "base" (top plane) and "contact" (all else but the cut planes).
+
+    The base of a `mesh` shape is what faces up within the top 2 % of its height.
+
+    Raises:
+        SceneError: The shape fields make no solid.
+        MeshingError: The surface cannot be filled, or the filling is of too low quality.
+    """
+    body, sizes = scene.object, SIZES[scene.fidelity]
+    area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
+    edge = _contact_edge(area, sizes)
+    if body.shape == "mesh":
+        surface, shape, stretch = load_mesh(body)[0], None, 1.0
+        narrow = float(np.ptp(surface.vertices, axis=0).min())
+    else:
+        shape, stretch = solid(body, shape_symmetry(body)), area.stretch
+        vertices, faces, _ = solid_surface(shape, np.inf, _CHORD * edge)
+        surface, narrow = TriMesh(vertices, faces), float(np.ptp(solid(body).hull, axis=0).min())
+    # Away from contact a tall object is a spring, but three edges across it are needed to bend like one.
+    far = max(edge, min(sizes.object_far, narrow / 3))
+    field = SizeField((0.0, 0.0, 0.0), (*area.high, 1.5 * press_depth(scene)), edge, sizes.growth, far)
+    label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
+    return _mirrored(_cached_fill(surface, shape, field, stretch, label, progress), symmetry)
+
+
+def mesh_report(mesh: TetMesh) -> dict[str, object]:
+    """Nodes, elements and quality (mean ratio of the straight tets, 1 is regular) for report.json."""
+    quality = tet_quality(mesh.rest_positions, mesh.tets)
+    return {
+        "nodes": len(mesh.rest_positions),
+        "elements": len(mesh.tets),
+        "smallest_quality": round(float(quality.min()), 4),
+        "mean_quality": round(float(quality.mean()), 4),
+        "symmetry": "".join(sorted(mesh.symmetry)),
+    }
+
+
+def _mirrored(mesh: TetMesh, symmetry: frozenset[str]) -> TetMesh:
+    for axis in sorted(mesh.symmetry - symmetry):
+        mesh = mirror(mesh, axis)
+    return mesh
+
+
+# ---------------------------------------------------------------------------------------------------------------- filling
+def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str) -> TetMesh:
+    """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
+    squeeze = np.array([1.0, 1.0 / stretch, 1.0])
+    narrow = field.squeezed(stretch)
+    inside = surface.vertices * squeeze
+    for envelope, energy, passes in _ATTEMPTS:
+        envelope *= field.contact
+        vertices, tets = _tetwild(inside, surface.faces, narrow, envelope, energy, passes, label)
+        vertices = vertices / squeeze
+        inverted = tet_volumes(vertices, tets) < 0
+        tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
+        vertices, patch = _snapped(vertices, tets, shape, 2 * (envelope + _CHORD * field.contact) * stretch)
+        quality = tet_quality(vertices * squeeze, tets)
+        if quality.min() > _WORST_QUALITY:
+            break
+    else:
+        raise MeshingError(
+            f"filling {label} with tetrahedra left one of quality {quality.min():.3g}; allowed: above {_WORST_QUALITY:g}; "
+            "try another fidelity, or a surface without sliver faces and gaps below 0.05 mm"
+        )
+    nodes, tets10 = quadratic_tets(vertices, tets)
+    boundary = outer_faces(tets10)
+    if shape is None:
+        return TetMesh(nodes, tets10, _mesh_groups(nodes, boundary, label))
+    nodes = _curved(nodes, tets10, boundary, patch, shape, len(vertices))
+    roles = np.array(shape.roles)[patch]
+    groups = {role: boundary[roles == role] for role in sorted(set(shape.roles) - set(AXES))}
+    return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES))
+
+
+def _tetwild(vertices: Array, faces: NDArray[np.int32], field: SizeField, envelope: float, energy: float, passes: int, label: str) -> tuple[Array, NDArray[np.int32]]:
+    import pytetwild
+
+    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    diagonal = float(np.linalg.norm(upper - lower))
+    points, cells, values = field.background(lower - 0.05 * diagonal, upper + 0.05 * diagonal)
+    # Millimetres: some of fTetWild's tolerances are absolute.
+    try:
+        with _silence():
+            filled, tets = pytetwild.tetrahedralize(
+                vertices / MM, faces,
+                edge_length_abs=field.far / MM, epsilon=envelope / diagonal, stop_energy=energy,
+                num_opt_iter=passes, num_threads=1, quiet=True, loglevel=6,
+                bg_vertices=points / MM, bg_tets=cells, bg_values=values / MM,
+            )  # fmt: skip
+    except Exception as error:  # the extension raises RuntimeError and others
+        raise MeshingError(f"filling {label} with tetrahedra failed ({error}); try to close and clean its surface") from error
+    if not len(tets):
+        raise MeshingError(f"filling {label} with tetrahedra left none; its surface encloses nothing: try to close it and to check its orientation")
+    used, tets = np.unique(tets, return_inverse=True)
+    return filled[used] * MM, tets.reshape(-1, 4).astype(np.int32)
+
+
+def _snapped(vertices: Array, tets: NDArray[np.int32], shape: Solid | None, near: float) -> tuple[Array, NDArray[np.int64]]:
+    """Boundary vertices on the patches of the faces around them, at most `near` away; and the patch of every boundary face (order of `outer_faces`)."""
+    if shape is None:
+        return vertices, np.zeros(0, np.int64)
+    faces = outer_faces(quadratic_tets(vertices, tets)[1])[:, :3]
+    patch = classify(shape.patches, vertices, faces, near)
+    member = membership(faces, patch, len(vertices), len(shape.patches))
+    on = member.any(axis=1)
+    moved = vertices.copy()
+    moved[on] = snap(shape.patches, vertices[on], member[on])
+    zero_cuts(shape, moved, member)
+    return moved, patch
+
+
+def _curved(nodes: Array, tets: NDArray[np.int32], boundary: NDArray[np.int32], patch: NDArray[np.int64], shape: Solid, vertex_count: int) -> Array:
+    """Mid-side nodes of boundary edges on the exact shape, but for edges whose curving would fold a tet or move the node too far."""
+    member = membership(boundary[:, 3:], patch, len(nodes), len(shape.patches))
+    member[:vertex_count] = False
+    on = np.flatnonzero(member.any(axis=1))
+    curved = nodes.copy()
+    curved[on] = snap(shape.patches, nodes[on], member[on])
+    zero_cuts(shape, curved, member)
+    return _unfolded(curved, tets, _MOST_CURVED)
+
+
+def _unfolded(curved: Array, tets: NDArray[np.int32], most: float) -> Array:
+    """Nodes whose middles are put back to straight where they lie more than `most` edge lengths off, or where they would fold a tet."""
+    ends = np.zeros((len(curved), 2), np.int64)
+    ends[tets[:, 4:]] = tets[:, TET_EDGES]
+    straight = curved[ends].mean(axis=1)
+    vertex = np.setdiff1d(np.arange(len(curved)), tets[:, 4:])
+    straight[vertex] = curved[vertex]
+    length = np.linalg.norm(curved[ends[:, 1]] - curved[ends[:, 0]], axis=1)
+    # Straight middles as they come would differ by rounding from a node that is already on its plane.
+    bent = np.linalg.norm(curved - straight, axis=1)
+    out = np.where((bent > most * length)[:, None], straight, curved)
+    reference = 6.0 * tet_volumes(curved, tets)[:, None]
+    while True:
+        folded = (jacobian_determinants(out, tets) < 0.1 * reference).any(axis=1)
+        back = np.unique(tets[folded, 4:])
+        back = back[(bent[back] > 1e-12) & (out[back] != straight[back]).any(axis=1)]
+        if not len(back):
+            return out
+        out[back] = straight[back]
+
+
+def _mesh_groups(nodes: Array, boundary: NDArray[np.int32], label: str) -> dict[str, NDArray[np.int32]]:
+    corners = nodes[boundary[:, :3]]
+    top = nodes[:, 2].max()
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0
+    base = up & (corners[:, :, 2] >= top - 0.02 * (top - nodes[:, 2].min())).all(axis=1)
+    if not base.any():
+        raise MeshingError(f"{label} has no face in the top 2 % of its height to fix to the platen; try to cut it flat there")
+    return {"base": boundary[base], "contact": boundary[~base]}
+
+
+def _check(mesh: TetMesh, label: str) -> None:
+    determinants = jacobian_determinants(mesh.rest_positions, mesh.tets)
+    if determinants.min() <= 0.0:
+        raise MeshingError(f"{label}: a curved tetrahedron folds (smallest Jacobian {determinants.min() / MM**3:.3g} mm³); try another fidelity")
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Sends what native code writes to the standard streams to nowhere."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        for target, source in zip((1, 2), kept, strict=True):
+            os.dup2(source, target)
+            os.close(source)
+        os.close(nowhere)
+
+
+# ---------------------------------------------------------------------------------------------------------------- cache
+def cache_folder() -> Path:
+    """$GELSIM_CACHE, or the user's cache folder; never inside the repository."""
+    import platformdirs
+
+    return Path(os.environ.get("GELSIM_CACHE") or platformdirs.user_cache_dir("gelsim")) / "meshes"
+
+
+def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, progress: Progress | None) -> TetMesh:
+    key = _key(surface, shape, field, stretch)
+    path = cache_folder() / f"{key}.npz"
+    mesh = _read(path)
+    if mesh is None:
+        (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
+        mesh = _fill(surface, shape, field, stretch, label)
+        _check(mesh, label)
+        _write(path, mesh)
+    return mesh
+
+
+def _say(line: str) -> None:
+    if sys.stderr.isatty():
+        print(line, file=sys.stderr, flush=True)
+
+
+def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float) -> str:
+    """Hash of everything a mesh depends on. Coordinates are rounded to a picometre, so that the last bits of libm do not matter."""
+    digest = hashlib.sha256()
+    settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, asdict(field), stretch, shape and shape.roles]
+    digest.update(json.dumps(settings, sort_keys=True, default=float).encode())
+    digest.update(np.round(surface.vertices * 1e12).astype(np.int64).tobytes())
+    digest.update(surface.faces.tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _write(path: Path, mesh: TetMesh) -> None:
+    groups = {f"group_{name}": faces for name, faces in mesh.groups.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, rest_positions=mesh.rest_positions, tets=mesh.tets, symmetry=np.array("".join(sorted(mesh.symmetry))), **groups)
+        os.replace(part, path)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+
+
+def _read(path: Path) -> TetMesh | None:
+    """The stored mesh, or None where there is none or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            groups = {name.removeprefix("group_"): stored[name] for name in stored.files if name.startswith("group_")}
+            mesh = TetMesh(stored["rest_positions"], stored["tets"], groups, frozenset(str(stored["symmetry"])))
+        count = len(mesh.rest_positions)
+        whole = np.isfinite(mesh.rest_positions).all() and all(0 <= a.min() and a.max() < count for a in (mesh.tets, *groups.values()))
+        return mesh if whole else None
+    except (OSError, ValueError, KeyError, AssertionError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
