@@ -1,0 +1,294 @@
+"""The line from a scene to its press and its pictures: each stage in turn, timed, with what it chose written down.
+
+    scene -> shapes, meshing -> fem -> membrane -> optics -> files
+
+`press` and `render` compute and return arrays; `run` does what the commands do: the same, and a result folder. What is solved is written as soon as
+it is whole, so a render that fails still leaves its press.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gelsim import materials, outputs
+from gelsim.errors import SceneError, SolveError, SolveStatus
+from gelsim.results import Deformation, Frame, Membrane
+from gelsim.scene import Scene
+from gelsim.scene_file import load_scene, scene_table
+
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, done, total)."""
+
+VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild", "pypardiso", "trimesh")
+"""Packages that decide a result."""
+
+MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity")
+"""Parts of a scene that decide its press; `resume` needs them unchanged."""
+
+
+@dataclass
+class Record:
+    """What report.json says about how a result came to be; the stages fill it."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Wall seconds by stage."""
+    meshes: dict[str, Any] = field(default_factory=dict)
+    choices: dict[str, Any] = field(default_factory=dict)
+    """What was decided on the user's behalf, and why."""
+    warnings: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Times a stage, and keeps the warnings raised in it."""
+        start = time.perf_counter()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("default")
+            try:
+                yield
+            finally:
+                self.seconds[name] = round(self.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
+        self.warnings += [f"{name}: {item.message}" for item in caught if not issubclass(item.category, DeprecationWarning)]
+
+
+def press(
+    scene: Scene, *, device: str = "auto", progress: Progress | None = None, record: Record | None = None, throw: bool = True
+) -> Deformation:
+    """Meshes both bodies and solves the press.
+
+    Args:
+        device: "auto", "cpu" or "cuda".
+        record: Filled with seconds, mesh sizes and choices.
+        throw: Raise when not every state was solved; else the deformation's `status` says so.
+    Raises:
+        SceneError: Shape or mesh file cannot be built; MeshingError: it cannot be filled.
+        SolveError: Newton failed; carries the states solved before.
+    """
+    record = record or Record()
+    with record.stage("import"):
+        from gelsim import meshing, shapes
+        from gelsim.fem import solve_press
+    symmetry = shapes.press_symmetry(scene)
+    record.choices["symmetry"] = sorted(symmetry)
+    gel_material, object_material = materials.gel_material(scene), materials.object_material(scene)
+    record.choices["gel_modulus_kpa"] = gel_material.youngs_modulus / 1e3
+    record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
+    with record.stage("mesh"):
+        # The object first: a file that cannot be used should not cost the gel's mesh.
+        if object_material is None:
+            body = surface = shapes.rigid_surface(scene, symmetry)
+            record.meshes["object"] = {"nodes": len(body.nodes), "elements": 0, "surface_faces": len(body.faces)}
+        else:
+            body = meshing.mesh_object(scene, symmetry)
+            surface = body.surface("contact")
+            record.meshes["object"] = meshing.mesh_report(body)
+        gel = meshing.mesh_gel(scene, symmetry)
+        record.meshes["gel"] = meshing.mesh_report(gel)
+        placement = shapes.placement(scene, surface)
+    with record.stage("press"):
+        return solve_press(
+            scene,
+            gel,
+            body,
+            placement,
+            gel_material=gel_material,
+            object_material=object_material,
+            device=device,
+            progress=(lambda done, total: progress("press", done, total)) if progress else None,
+            throw=throw,
+        )
+
+
+def membranes(scene: Scene, deformation: Deformation, *, record: Record | None = None) -> list[Membrane]:
+    """The coated surface of each recorded state, ready to be drawn."""
+    from gelsim import membrane
+
+    with (record or Record()).stage("membrane"):
+        return membrane.membrane_states(scene, deformation)
+
+
+def render(
+    scene: Scene, deformation: Deformation, *, device: str = "auto", progress: Progress | None = None, record: Record | None = None
+) -> list[Frame]:
+    """Draws every recorded state as the sensor's camera sees it.
+
+    Raises:
+        RenderError: The device asked for cannot render.
+    """
+    record = record or Record()
+    surfaces = membranes(scene, deformation, record=record)
+    with record.stage("render"):
+        from gelsim import optics
+
+        variant = optics.choose_variant(device)
+        record.choices["variant"] = variant.name
+        record.choices["variant_reason"] = variant.reason
+        show = (lambda done, total: progress("render", done, total)) if progress else None
+        return list(optics.render_frames(scene, surfaces, progress=show, device=device))
+
+
+def simulate(scene: Scene, *, device: str = "auto", progress: Progress | None = None) -> tuple[Deformation, list[Frame]]:
+    """Press and pictures in one call; raises what `press` and `render` raise."""
+    deformation = press(scene, device=device, progress=progress)
+    return deformation, render(scene, deformation, device=device, progress=progress)
+
+
+def run(
+    scene: Scene,
+    out: Path,
+    *,
+    render_frames: bool = True,
+    force: bool = False,
+    resume: bool = False,
+    device: str = "auto",
+    probe: Path | None = None,
+    radiance: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Computes a scene and writes its result folder; returns what report.json holds.
+
+    Args:
+        out: The folder; `force` replaces results in it, `resume` goes on where it stopped.
+        render_frames: False: the mechanics alone.
+        probe: CSV of rest points x_mm, y_mm at which the gel's surface is sampled.
+        radiance: Also write linear pictures.
+    Raises:
+        SceneError: Bad input, or the folder cannot be used: nothing was written.
+        SolveError: The press stopped early: what was solved, and the report, are in the folder.
+    """
+    points = None
+    if probe is not None:
+        points = outputs.read_probe_points(probe)
+        outputs.check_probe_points(points, scene)
+    folder = outputs.ResultFolder(out, force=force, resume=resume)
+    start = time.perf_counter()
+    record = Record()
+    deformation = _earlier_press(scene, folder.path) if resume else None
+    try:
+        if deformation is None:
+            deformation = press(scene, device=device, progress=progress, record=record)
+        else:
+            record.choices["press"] = "taken from the folder (--resume)"
+    except SolveError as error:
+        if isinstance(error.deformation, Deformation):
+            _write_mechanics(folder, scene, error.deformation, points)
+            report = _report(scene, device, record, error.deformation, start, out) | {"error": str(error)}
+            folder.write("report.json", lambda path: outputs.write_report(path, report))
+            raise SolveError(f"{error} (what was solved is in {out})", error.deformation) from None
+        raise
+    _write_mechanics(folder, scene, deformation, points)
+    if render_frames:
+        frames = render(scene, deformation, device=device, progress=progress, record=record)
+        with record.stage("write"):
+            _write_pictures(folder, scene, deformation, frames, radiance)
+    report = _report(scene, device, record, deformation, start, out)
+    if render_frames:
+        report["video"] = {
+            "fps": outputs.video_fps(len(deformation.approach)),
+            "slower_than_real_time_by": _slow_motion(scene, deformation),
+        }
+    folder.write("report.json", lambda path: outputs.write_report(path, report))
+    return report
+
+
+def summary(report: dict[str, Any]) -> str:
+    """A report in a few lines for people."""
+    final = report["final"]
+    seconds = ", ".join(f"{name} {value:.1f}" for name, value in report["seconds"].items() if name != "total" and value >= 0.05)
+    lines = [
+        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N "
+        f"on {final['contact_area_mm2']:.1f} mm²",
+        f"{report['seconds']['total']:.1f} s ({seconds})",
+    ]
+    return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
+
+
+def _earlier_press(scene: Scene, out: Path) -> Deformation | None:
+    """The press that lies in the folder, if it is whole and of the same mechanics."""
+    if not (out / "press.npz").exists():
+        return None
+    if not (out / "scene.toml").exists():
+        raise SceneError(f"--resume {out}: holds a press.npz but no scene.toml to compare with; give --force")
+    earlier = load_scene(out / "scene.toml")
+    for name in MECHANICS:
+        if getattr(earlier, name) != getattr(scene, name):
+            what = f"[{name}]" if name != "fidelity" else name
+            raise SceneError(f"--resume {out}: its press was made with another {what}; give --force to solve it anew, or another --out")
+    deformation = outputs.read_press(out / "press.npz")
+    return deformation if deformation.status is SolveStatus.CONVERGED else None
+
+
+def _write_mechanics(folder: outputs.ResultFolder, scene: Scene, deformation: Deformation, points: Any) -> None:
+    folder.clear()
+    folder.write("scene.toml", lambda path: outputs.write_scene(path, scene))
+    folder.write("press.npz", lambda path: outputs.write_press(path, scene, deformation))
+    if points is not None:
+        folder.write("probe.csv", lambda path: outputs.write_probe(path, deformation, points))
+
+
+def _write_pictures(folder: outputs.ResultFolder, scene: Scene, deformation: Deformation, frames: list[Frame], radiance: bool) -> None:
+    from gelsim import sheet
+
+    folder.write("frames", lambda path: outputs.write_frames(path, frames))
+    if radiance:
+        folder.write("radiance", lambda path: outputs.write_radiances(path, frames))
+    folder.write("video.mp4", lambda path: outputs.write_video(path, frames))
+    folder.write("height.npz", lambda path: outputs.write_heights(path, frames))
+    folder.write("markers.csv", lambda path: outputs.write_markers(path, frames))
+    folder.write("sheet.png", lambda path: sheet.draw_sheet(path, scene, deformation, frames))
+
+
+def _report(scene: Scene, device: str, record: Record, deformation: Deformation, start: float, out: Path) -> dict[str, Any]:
+    info = dict(deformation.info)
+    noted = [str(text) for text in info.pop("warnings", [])]  # type: ignore[attr-defined]
+    estimate = info.pop("error_estimate", None)
+    if not deformation.converged.all():
+        noted.append(f"{int((~deformation.converged).sum())} of {len(deformation.converged)} states did not converge")
+    report = {
+        "out": str(out),
+        "status": deformation.status.value,
+        "final": {
+            "frames": len(deformation.approach),
+            "approach_mm": deformation.approach[-1] * 1e3,
+            "normal_force_n": -deformation.force[-1, 2],
+            "force_n": deformation.force[-1],
+            "contact_area_mm2": deformation.contact_area[-1] * 1e6,
+            "min_jacobian": deformation.min_jacobian.min(),
+            "penetration_mm": deformation.penetration.max() * 1e3,
+        },
+        "seconds": record.seconds | {"total": round(time.perf_counter() - start, 3)},
+        "meshes": record.meshes,
+        "choices": record.choices | info,
+        "error_estimate": estimate,
+        "error_estimate_note": None
+        if estimate is not None
+        else "not estimated by this version; --fidelity reference against balanced shows it",
+        "device": {"asked": device, "machine": platform.machine(), "system": platform.platform(), "python": platform.python_version()},
+        "versions": {name: _version(name) for name in VERSIONS_OF},
+        "seed": scene.seed,
+        "scene": scene_table(scene),
+        "warnings": record.warnings + noted,
+    }
+    plain = outputs.plain_json(report)
+    assert isinstance(plain, dict)
+    return plain
+
+
+def _slow_motion(scene: Scene, deformation: Deformation) -> float:
+    """How much longer the video takes than the press."""
+    shown = len(deformation.approach) / outputs.video_fps(len(deformation.approach))
+    return round(shown / max(float(deformation.approach[-1]) * 1e3 / scene.press.speed_mm_s, 1e-9), 1)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

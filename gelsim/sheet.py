@@ -1,0 +1,230 @@
+"""sheet.png: a press at a glance. Frames in a row; below them the membrane's height, force and area against approach, a section, the meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.materials import hardness_label
+from gelsim.results import Deformation, Frame, SurfaceMotion
+from gelsim.scene import Scene
+from gelsim.units import KPA, MM
+
+FRAMES_SHOWN = 6
+GEL_COLOUR, OBJECT_COLOUR, INK = "#7a8fa6", "#d9a26b", "#22272e"
+SECTION_OFFSET = 1e-6
+"""The section is cut this far [m] beside y = 0, where symmetric meshes have nodes and a cut through them would be ambiguous."""
+
+Array = NDArray[np.float64]
+
+
+def describe_scene(scene: Scene) -> str:
+    """The press in one line."""
+    body, press = scene.object, scene.press
+    size = f", R {body.radius_mm:g} mm" if body.shape in ("cylinder", "hemisphere", "punch", "cone", "frustum") else ""
+    name = Path(body.mesh).name if body.mesh else body.shape
+    hardness = "rigid" if body.rigid else hardness_label(body)
+    friction = scene.contact.friction_coefficient
+    contact = f"friction {friction}" if isinstance(friction, str) else f"friction {friction:g}"
+    tilt = "" if press.tilt_deg == (0.0, 0.0) else f", tilt {press.tilt_deg[0]:g}° {press.tilt_deg[1]:g}°"
+    return f"{name}{size}, {hardness}, into a gel of {hardness_label(scene.gel)} ({Path(scene.sensor.preset).stem}), {contact}{tilt}"
+
+
+def draw_sheet(path: Path, scene: Scene, deformation: Deformation, frames: list[Frame]) -> None:
+    """Draws the sheet of a press.
+
+    Args:
+        path: PNG file.
+        frames: One for each recorded state.
+    """
+    from matplotlib.figure import Figure
+
+    chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES_SHOWN).round().astype(int))
+    height, width = frames[0].image.shape[:2]
+    columns = len(chosen)
+    top = 16.0 / columns * height / width
+    figure = Figure(figsize=(16.0, top + 5.0), dpi=110, facecolor="white")
+    rows = figure.add_gridspec(
+        2, 1, height_ratios=[top, 4.1], left=0.012, right=0.988, top=1 - 0.5 / (top + 5.0), bottom=0.055, hspace=0.14
+    )
+    pictures = rows[0].subgridspec(1, columns, wspace=0.03)
+    for column, index in enumerate(chosen):
+        axes = figure.add_subplot(pictures[column])
+        axes.imshow(frames[index].image, interpolation="antialiased")
+        axes.set_axis_off()
+        force = -deformation.force[index, 2]
+        axes.set_title(f"{deformation.approach[index] / MM:.2f} mm   {force:.2f} N", fontsize=10, color=INK, pad=3)
+    figure.text(0.5, 1 - 0.1 / (top + 5.0), describe_scene(scene), ha="center", va="top", fontsize=12, color=INK)
+    plots = rows[1].subgridspec(1, 4, width_ratios=[1.15, 1.0, 1.1, 1.35], wspace=0.24)
+    draw_height(figure, figure.add_subplot(plots[0]), scene, frames[-1])
+    draw_force(figure.add_subplot(plots[1]), deformation)
+    draw_section(figure.add_subplot(plots[2]), scene, deformation)
+    draw_meshes(figure.add_subplot(plots[3]), scene, deformation)
+    figure.savefig(path, format="png")
+
+
+def draw_mechanics(path: Path, scene: Scene, deformation: Deformation) -> None:
+    """The sheet of a press without pictures: force, section, meshes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14.0, 4.8), dpi=110, facecolor="white", layout="constrained")
+    figure.suptitle(describe_scene(scene), fontsize=12, color=INK)
+    axes = figure.subplots(1, 3, width_ratios=[1.0, 1.1, 1.35])
+    draw_force(axes[0], deformation)
+    draw_section(axes[1], scene, deformation)
+    draw_meshes(axes[2], scene, deformation)
+    figure.savefig(path, format="png")
+
+
+def draw_height(figure: Any, axes: Any, scene: Scene, frame: Frame) -> None:
+    """The membrane's height in the last frame, as the camera sees it."""
+    from gelsim.optics.camera import pixel_size
+
+    rows, columns = frame.height.shape
+    half_x, half_y = 0.5 * columns * pixel_size(scene) / MM, 0.5 * rows * pixel_size(scene) / MM
+    picture = axes.imshow(frame.height / MM, extent=(-half_x, half_x, half_y, -half_y), cmap="viridis", interpolation="nearest")
+    figure.colorbar(picture, ax=axes, shrink=0.72, pad=0.02, label="z [mm]")
+    axes.set_title("membrane height, last frame", fontsize=10, color=INK)
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]", labelpad=0)
+
+
+def draw_force(axes: Any, deformation: Deformation) -> None:
+    """Normal and tangential force, and contact area, against approach."""
+    approach = deformation.approach / MM
+    axes.plot(approach, -deformation.force[:, 2], "o-", color=INK, markersize=4, label="normal force [N]")
+    tangential = np.hypot(deformation.force[:, 0], deformation.force[:, 1])
+    if tangential.max() > 1e-3 * np.abs(deformation.force[:, 2]).max():
+        axes.plot(approach, tangential, "o--", color="#2f7f5f", markersize=3, label="tangential force [N]")
+    axes.set_xlabel("approach [mm]")
+    axes.set_ylabel("force [N]", labelpad=1)
+    axes.set_title("force and area against approach", fontsize=10, color=INK)
+    area = axes.twinx()
+    area.plot(approach, deformation.contact_area / MM**2, "s-", color="#b5562b", markersize=3, label="contact area [mm²]")
+    area.set_ylabel("contact area [mm²]", color="#b5562b", labelpad=1)
+    area.tick_params(colors="#b5562b")
+    handles = [*axes.get_lines(), *area.get_lines()]
+    axes.legend(handles, [line.get_label() for line in handles], fontsize=8, loc="upper left", frameon=False)
+    for side in (axes, area):
+        side.set_ylim(bottom=0)
+        side.spines["top"].set_visible(False)
+    axes.grid(alpha=0.25)
+
+
+def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
+    """Gel and object cut at y = 0 in the last state."""
+    from matplotlib.collections import LineCollection
+
+    window = -scene.gel.thickness_mm
+    half = scene.gel.size_mm[0] / 2
+    top = max(2.5, 0.18 * scene.gel.size_mm[0])
+    for motion, colour in ((deformation.object, OBJECT_COLOUR), (deformation.gel, GEL_COLOUR)):
+        for index, style in ((0, ":"), (-1, "-")):
+            segments = section_segments(motion, index) / MM
+            axes.add_collection(LineCollection(list(segments), colors=colour if style == "-" else INK, linewidths=1.8 if style == "-" else 0.7,
+                                               linestyles=style, capstyle="round", zorder=3))  # fmt: skip
+    gel = section_segments(deformation.gel, -1) / MM
+    if len(gel):
+        outline = gel.reshape(-1, 2)[np.argsort(gel.reshape(-1, 2)[:, 0])]
+        axes.fill_between(outline[:, 0], window, outline[:, 1], color=GEL_COLOUR, alpha=0.3, linewidth=0)
+    for loop in closed_loops(section_segments(deformation.object, -1) / MM):
+        axes.fill(loop[:, 0], loop[:, 1], color=OBJECT_COLOUR, alpha=0.3, linewidth=0)
+    axes.axhspan(window - 1.0, window, color="#dfe6ee", zorder=0)
+    axes.text(0.0, window - 0.5, "window", ha="center", va="center", fontsize=8, color=INK)
+    view = min(half, max(6.0, 0.5 * half))
+    axes.set_xlim(-view, view)
+    axes.set_ylim(window - 1.0, top)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("z [mm]", labelpad=0)
+    axes.set_title("section at y = 0: first touch (dotted), last", fontsize=10, color=INK)
+
+
+def draw_meshes(axes: Any, scene: Scene, deformation: Deformation) -> None:
+    """The half y > 0 of both surfaces in the last state, drawn from the side y < 0, the gel coloured by its contact pressure."""
+    import matplotlib
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
+
+    azimuth, elevation = np.radians(-20.0), np.radians(24.0)
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    away = np.array([-np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), -np.sin(elevation)])
+    up = np.cross(right, away)
+    light = np.array([-0.35, -0.5, 0.8]) / np.linalg.norm([-0.35, -0.5, 0.8])
+    pressure = deformation.contact_pressure[-1] / KPA
+    peak = float(pressure.max())
+    polygons, colours, depths = [], [], []
+    ceiling = 0.45 * scene.gel.size_mm[0] * MM
+    for motion, base in ((deformation.gel, GEL_COLOUR), (deformation.object, OBJECT_COLOUR)):
+        points = motion.rest + motion.displacement[-1]
+        triangles = motion.faces6[:, :3]
+        centres = points[triangles].mean(axis=1)
+        triangles = triangles[(motion.rest[triangles, 1].mean(axis=1) > 0) & (centres[:, 2] < ceiling)]
+        corners = points[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        shade = 0.55 + 0.45 * np.abs(normals @ light)
+        colour = np.tile(to_rgb(base), (len(triangles), 1))
+        if motion is deformation.gel and peak > 0:
+            share = pressure[triangles].mean(axis=1) / peak
+            hot = matplotlib.colormaps["inferno_r"](0.15 + 0.7 * share)[:, :3]
+            colour = np.where(share[:, None] > 0.01, hot, colour)
+        polygons.append(np.stack([corners @ right, corners @ up], axis=-1) / MM)
+        colours.append(np.clip(colour * shade[:, None], 0, 1))
+        depths.append(corners.mean(axis=1) @ away)
+    order = np.argsort(-np.concatenate(depths))
+    fill = np.concatenate(colours)[order]
+    axes.add_collection(PolyCollection(list(np.concatenate(polygons)[order]), facecolors=fill, edgecolors=fill * 0.72, linewidths=0.35))
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_title(f"meshes cut at y = 0; contact pressure up to {peak:.1f} kPa", fontsize=10, color=INK)
+
+
+def section_segments(motion: SurfaceMotion, index: int) -> Array:
+    """Where a surface in one state crosses the plane y = 0: segments (S, 2, 2) of x, z [m]."""
+    points = motion.rest + motion.displacement[index]
+    y = points[:, 1] - SECTION_OFFSET
+    corners = y[motion.faces]
+    crossing = motion.faces[(corners.min(axis=1) < 0) & (corners.max(axis=1) > 0)]
+    ends = []
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        start, end = crossing[:, a], crossing[:, b]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = y[start] / (y[start] - y[end])
+        between = (y[start] < 0) != (y[end] < 0)
+        place = points[start] + np.where(between, share, 0.0)[:, None] * (points[end] - points[start])
+        ends.append((between, place[:, [0, 2]]))
+    # A triangle that crosses has exactly two edges that do.
+    between = np.stack([item[0] for item in ends], axis=1)
+    places = np.stack([item[1] for item in ends], axis=1)
+    return places[between].reshape(-1, 2, 2)
+
+
+def closed_loops(segments: Array, tolerance: float = 1e-6) -> list[Array]:
+    """Segments (S, 2, 2) strung together into polylines (K, 2) by their common ends."""
+    keys = np.round(segments / tolerance).astype(np.int64)
+    at: dict[tuple[int, int], list[int]] = {}
+    for index, pair in enumerate(keys):
+        for end in pair:
+            at.setdefault((int(end[0]), int(end[1])), []).append(index)
+    left = set(range(len(segments)))
+    loops = []
+    while left:
+        # An open line must start at one of its two ends.
+        start = next((i for i in left if any(len(at[tuple(map(int, end))]) == 1 for end in keys[i])), next(iter(left)))
+        side = 0 if len(at[tuple(map(int, keys[start][0]))]) == 1 else 1 if len(at[tuple(map(int, keys[start][1]))]) == 1 else 0
+        line, current = [segments[start][side]], start
+        while current is not None:
+            left.discard(current)
+            side = 1 - side
+            line.append(segments[current][side])
+            key = tuple(map(int, keys[current][side]))
+            current = next((i for i in at[key] if i in left), None)
+            if current is not None:
+                side = 0 if tuple(map(int, keys[current][0])) == key else 1
+        loops.append(np.array(line))
+    return loops
