@@ -76,7 +76,7 @@ def read_layer(path: str | Path) -> Layer:
     _check_layer(layer)
     for section, key in (("object", "mesh"), ("sensor", "preset")):
         value = layer.get(section, {}).get(key)
-        if isinstance(value, str) and (key == "mesh" or value.endswith(".toml")):
+        if isinstance(value, str) and (value.endswith(".toml") if key == "preset" else value.lower() != "none"):
             layer[section][key] = str((path.parent / value).resolve())
     return layer
 

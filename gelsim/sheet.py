@@ -14,6 +14,8 @@ from gelsim.scene import Scene
 from gelsim.units import KPA, MM
 
 FRAMES_SHOWN = 6
+PANEL_ASPECT = 0.75
+"""Height over width of the panels below the frames."""
 GEL_COLOUR, OBJECT_COLOUR, INK = "#7a8fa6", "#d9a26b", "#22272e"
 SECTION_OFFSET = 1e-6
 """The section is cut this far [m] beside y = 0, where symmetric meshes have nodes and a cut through them would be ambiguous."""
@@ -44,50 +46,66 @@ def draw_sheet(path: Path, scene: Scene, deformation: Deformation, frames: list[
 
     chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES_SHOWN).round().astype(int))
     height, width = frames[0].image.shape[:2]
-    columns = len(chosen)
-    top = 16.0 / columns * height / width
-    figure = Figure(figsize=(16.0, top + 5.0), dpi=110, facecolor="white")
-    rows = figure.add_gridspec(
-        2, 1, height_ratios=[top, 4.1], left=0.012, right=0.988, top=1 - 0.5 / (top + 5.0), bottom=0.055, hspace=0.14
-    )
-    pictures = rows[0].subgridspec(1, columns, wspace=0.03)
+    total, margin, gap = 16.0, 0.2, 0.08  # inches
+    picture = (total - 2 * margin - (len(chosen) - 1) * gap) / len(chosen)
+    top = 0.75 + picture * height / width
+    figure = Figure(figsize=(total, top + 3.75), dpi=110, facecolor="white")
+    place = _Inches(figure)
+    figure.text(0.5, 1 - 0.14 / (top + 3.75), describe_scene(scene), ha="center", va="top", fontsize=13, color=INK)
     for column, index in enumerate(chosen):
-        axes = figure.add_subplot(pictures[column])
-        axes.imshow(frames[index].image, interpolation="antialiased")
+        axes = place(margin + column * (picture + gap), top, picture, picture * height / width)
+        axes.imshow(frames[index].image, interpolation="antialiased", aspect="auto")
         axes.set_axis_off()
-        force = -deformation.force[index, 2]
+        force = abs(deformation.force[index, 2])
         axes.set_title(f"{deformation.approach[index] / MM:.2f} mm   {force:.2f} N", fontsize=10, color=INK, pad=3)
-    figure.text(0.5, 1 - 0.1 / (top + 5.0), describe_scene(scene), ha="center", va="top", fontsize=12, color=INK)
-    plots = rows[1].subgridspec(1, 4, width_ratios=[1.15, 1.0, 1.1, 1.35], wspace=0.24)
-    draw_height(figure, figure.add_subplot(plots[0]), scene, frames[-1])
-    draw_force(figure.add_subplot(plots[1]), deformation)
-    draw_section(figure.add_subplot(plots[2]), scene, deformation)
-    draw_meshes(figure.add_subplot(plots[3]), scene, deformation)
+    below, high = top + 3.1, PANEL_ASPECT * 3.3
+    heights = place(0.65, below, 3.1, high)
+    draw_height(heights, place(3.8, below, 0.1, high), scene, frames[-1])
+    draw_force(place(5.0, below, 2.7, high), deformation)
+    draw_section(place(8.75, below, 3.3, high), scene, deformation)
+    draw_meshes(place(12.4, below, 3.3, high), scene, deformation)
     figure.savefig(path, format="png")
+
+
+class _Inches:
+    """Puts axes on a figure by their left edge, lower edge (from the top), width and height in inches."""
+
+    def __init__(self, figure: Any) -> None:
+        self.figure = figure
+
+    def __call__(self, left: float, lower: float, width: float, height: float) -> Any:
+        across, down = self.figure.get_size_inches()
+        return self.figure.add_axes((left / across, 1 - lower / down, width / across, height / down))
 
 
 def draw_mechanics(path: Path, scene: Scene, deformation: Deformation) -> None:
     """The sheet of a press without pictures: force, section, meshes."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(14.0, 4.8), dpi=110, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(12.0, 3.9), dpi=110, facecolor="white")
+    place = _Inches(figure)
     figure.suptitle(describe_scene(scene), fontsize=12, color=INK)
-    axes = figure.subplots(1, 3, width_ratios=[1.0, 1.1, 1.35])
-    draw_force(axes[0], deformation)
-    draw_section(axes[1], scene, deformation)
-    draw_meshes(axes[2], scene, deformation)
+    high = PANEL_ASPECT * 3.3
+    draw_force(place(0.7, 3.3, 2.9, high), deformation)
+    draw_section(place(4.7, 3.3, 3.3, high), scene, deformation)
+    draw_meshes(place(8.4, 3.3, 3.3, high), scene, deformation)
     figure.savefig(path, format="png")
 
 
-def draw_height(figure: Any, axes: Any, scene: Scene, frame: Frame) -> None:
-    """The membrane's height in the last frame, as the camera sees it."""
+def draw_height(axes: Any, scale: Any, scene: Scene, frame: Frame) -> None:
+    """The membrane's height in the last frame, as the camera sees it; `scale` holds the colour bar."""
     from gelsim.optics.camera import pixel_size
 
     rows, columns = frame.height.shape
     half_x, half_y = 0.5 * columns * pixel_size(scene) / MM, 0.5 * rows * pixel_size(scene) / MM
-    picture = axes.imshow(frame.height / MM, extent=(-half_x, half_x, half_y, -half_y), cmap="viridis", interpolation="nearest")
-    figure.colorbar(picture, ax=axes, shrink=0.72, pad=0.02, label="z [mm]")
-    axes.set_title("membrane height, last frame", fontsize=10, color=INK)
+    shown = frame.height / MM
+    picture = axes.imshow(shown, extent=(-half_x, half_x, half_y, -half_y), cmap="viridis", interpolation="nearest", aspect="auto")
+    axes.figure.colorbar(picture, cax=scale)
+    if np.isfinite(shown).all() and np.ptp(shown) > 0:
+        axes.contour(
+            np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows), shown, 8, colors="white", linewidths=0.4, alpha=0.6
+        )
+    axes.set_title("membrane height z [mm], last frame", fontsize=10, color=INK)
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("y [mm]", labelpad=0)
 
@@ -119,8 +137,7 @@ def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
     from matplotlib.collections import LineCollection
 
     window = -scene.gel.thickness_mm
-    half = scene.gel.size_mm[0] / 2
-    top = max(2.5, 0.18 * scene.gel.size_mm[0])
+    view = 0.26 * scene.gel.size_mm[0]
     for motion, colour in ((deformation.object, OBJECT_COLOUR), (deformation.gel, GEL_COLOUR)):
         for index, style in ((0, ":"), (-1, "-")):
             segments = section_segments(motion, index) / MM
@@ -134,9 +151,8 @@ def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
         axes.fill(loop[:, 0], loop[:, 1], color=OBJECT_COLOUR, alpha=0.3, linewidth=0)
     axes.axhspan(window - 1.0, window, color="#dfe6ee", zorder=0)
     axes.text(0.0, window - 0.5, "window", ha="center", va="center", fontsize=8, color=INK)
-    view = min(half, max(6.0, 0.5 * half))
     axes.set_xlim(-view, view)
-    axes.set_ylim(window - 1.0, top)
+    axes.set_ylim(window - 1.0, window - 1.0 + 2 * view * PANEL_ASPECT)
     axes.set_aspect("equal")
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("z [mm]", labelpad=0)
@@ -144,44 +160,43 @@ def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
 
 
 def draw_meshes(axes: Any, scene: Scene, deformation: Deformation) -> None:
-    """The half y > 0 of both surfaces in the last state, drawn from the side y < 0, the gel coloured by its contact pressure."""
+    """Both surfaces' meshes in the last state, the object lifted off the gel, the gel coloured by its contact pressure."""
     import matplotlib
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgb
 
-    azimuth, elevation = np.radians(-20.0), np.radians(24.0)
+    azimuth, elevation = np.radians(-24.0), np.radians(28.0)
     right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     away = np.array([-np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), -np.sin(elevation)])
     up = np.cross(right, away)
     light = np.array([-0.35, -0.5, 0.8]) / np.linalg.norm([-0.35, -0.5, 0.8])
     pressure = deformation.contact_pressure[-1] / KPA
     peak = float(pressure.max())
-    polygons, colours, depths = [], [], []
-    ceiling = 0.45 * scene.gel.size_mm[0] * MM
-    for motion, base in ((deformation.gel, GEL_COLOUR), (deformation.object, OBJECT_COLOUR)):
-        points = motion.rest + motion.displacement[-1]
+    lift = 0.28 * scene.gel.size_mm[1] * MM
+    low, wide = np.inf, 0.0
+    for motion, base, raised in ((deformation.gel, GEL_COLOUR, 0.0), (deformation.object, OBJECT_COLOUR, lift)):
+        points = motion.rest + motion.displacement[-1] + np.array([0.0, 0.0, raised])
         triangles = motion.faces6[:, :3]
-        centres = points[triangles].mean(axis=1)
-        triangles = triangles[(motion.rest[triangles, 1].mean(axis=1) > 0) & (centres[:, 2] < ceiling)]
         corners = points[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        shade = 0.55 + 0.45 * np.abs(normals @ light)
+        towards = normals @ away < 0.0
+        triangles, corners, normals = triangles[towards], corners[towards], normals[towards]
         colour = np.tile(to_rgb(base), (len(triangles), 1))
         if motion is deformation.gel and peak > 0:
             share = pressure[triangles].mean(axis=1) / peak
             hot = matplotlib.colormaps["inferno_r"](0.15 + 0.7 * share)[:, :3]
             colour = np.where(share[:, None] > 0.01, hot, colour)
-        polygons.append(np.stack([corners @ right, corners @ up], axis=-1) / MM)
-        colours.append(np.clip(colour * shade[:, None], 0, 1))
-        depths.append(corners.mean(axis=1) @ away)
-    order = np.argsort(-np.concatenate(depths))
-    fill = np.concatenate(colours)[order]
-    axes.add_collection(PolyCollection(list(np.concatenate(polygons)[order]), facecolors=fill, edgecolors=fill * 0.72, linewidths=0.35))
-    axes.autoscale_view()
+        colour = np.clip(colour * (0.6 + 0.4 * np.abs(normals @ light))[:, None], 0, 1)
+        order = np.argsort(-(corners.mean(axis=1) @ away))
+        shown = np.stack([corners @ right, corners @ up], axis=-1)[order] / MM
+        axes.add_collection(PolyCollection(list(shown), facecolors=colour[order], edgecolors=colour[order] * 0.7, linewidths=0.35))
+        low, wide = min(low, shown[..., 1].min()), max(wide, np.abs(shown[..., 0]).max())
+    axes.set_xlim(-wide, wide)
+    axes.set_ylim(low, low + 2 * wide * PANEL_ASPECT)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    axes.set_title(f"meshes cut at y = 0; contact pressure up to {peak:.1f} kPa", fontsize=10, color=INK)
+    axes.set_title(f"meshes, apart; contact pressure up to {peak:.1f} kPa", fontsize=10, color=INK)
 
 
 def section_segments(motion: SurfaceMotion, index: int) -> Array:
