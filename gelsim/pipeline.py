@@ -27,7 +27,7 @@ from gelsim.scene_file import load_scene, scene_table
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, total)."""
 
-VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild", "pypardiso", "trimesh")
+VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild", "mkl", "trimesh")
 """Packages that decide a result."""
 
 MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity")

@@ -60,7 +60,7 @@ def draw_sheet(path: Path, scene: Scene, deformation: Deformation, frames: list[
         axes.set_title(f"{deformation.approach[index] / MM:.2f} mm   {force:.2f} N", fontsize=10, color=INK, pad=3)
     below, high = top + 3.1, PANEL_ASPECT * 3.3
     heights = place(0.65, below, 3.1, high)
-    draw_height(heights, place(3.8, below, 0.1, high), scene, frames[-1])
+    draw_height(heights, place(3.8, below, 0.1, high), scene, frames)
     draw_force(place(5.0, below, 2.7, high), deformation)
     draw_section(place(8.75, below, 3.3, high), scene, deformation)
     draw_meshes(place(12.4, below, 3.3, high), scene, deformation)
@@ -92,20 +92,20 @@ def draw_mechanics(path: Path, scene: Scene, deformation: Deformation) -> None:
     figure.savefig(path, format="png")
 
 
-def draw_height(axes: Any, scale: Any, scene: Scene, frame: Frame) -> None:
-    """The membrane's height in the last frame, as the camera sees it; `scale` holds the colour bar."""
+def draw_height(axes: Any, scale: Any, scene: Scene, frames: list[Frame]) -> None:
+    """How far the membrane's height differs between the last frame and the first, as the camera sees it; `scale` holds the colour bar."""
     from gelsim.optics.camera import pixel_size
 
-    rows, columns = frame.height.shape
+    rows, columns = frames[0].height.shape
     half_x, half_y = 0.5 * columns * pixel_size(scene) / MM, 0.5 * rows * pixel_size(scene) / MM
-    shown = frame.height / MM
+    shown = (frames[-1].height - frames[0].height) / MM
     picture = axes.imshow(shown, extent=(-half_x, half_x, half_y, -half_y), cmap="viridis", interpolation="nearest", aspect="auto")
     axes.figure.colorbar(picture, cax=scale)
     if np.isfinite(shown).all() and np.ptp(shown) > 0:
         axes.contour(
             np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows), shown, 8, colors="white", linewidths=0.4, alpha=0.6
         )
-    axes.set_title("membrane height z [mm], last frame", fontsize=10, color=INK)
+    axes.set_title("membrane height, last minus first [mm]", fontsize=10, color=INK)
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("y [mm]", labelpad=0)
 
@@ -197,6 +197,48 @@ def draw_meshes(axes: Any, scene: Scene, deformation: Deformation) -> None:
     axes.set_aspect("equal")
     axes.set_axis_off()
     axes.set_title(f"meshes, apart; contact pressure up to {peak:.1f} kPa", fontsize=10, color=INK)
+
+
+def draw_surface(path: Path, vertices: Array, faces: NDArray[np.int64], title: str) -> None:
+    """Draws a triangle surface from three sides.
+
+    Args:
+        path: PNG file.
+        vertices: (V, 3) [m].
+        faces: (F, 3).
+    """
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 4.4), dpi=110, facecolor="white")
+    place = _Inches(figure)
+    figure.suptitle(title, fontsize=12, color=INK)
+    views = {
+        "front: x right, z up": ("x", "z"),
+        "side: y right, z up": ("y", "z"),
+        "from below, as the gel sees it: x right, y down": ("x", "y"),
+    }
+    corners = vertices[faces] / MM
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    for column, (name, letters) in enumerate(views.items()):
+        axes = place(0.6 + 3.9 * column, 3.9, 3.2, 3.2)
+        a, b = ("xyz".index(letter) for letter in letters)
+        away = {"xz": (0, 1, 0), "yz": (-1, 0, 0), "xy": (0, 0, 1)}[letters[0] + letters[1]]
+        depth = corners.mean(axis=1) @ np.array(away, float)
+        order = np.argsort(-depth)
+        shade = (0.5 + 0.5 * np.abs(normals @ np.array(away, float)))[:, None]
+        colour = (np.array(to_rgb(OBJECT_COLOUR)) * shade)[order]
+        axes.add_collection(PolyCollection(list(corners[order][:, :, [a, b]]), facecolors=colour, edgecolors=colour * 0.75, linewidths=0.3))
+        axes.autoscale_view()
+        axes.set_aspect("equal")
+        if letters == ("x", "y"):
+            axes.invert_yaxis()
+        axes.set_title(name, fontsize=10, color=INK)
+        axes.set_xlabel(f"{letters[0]} [mm]")
+        axes.set_ylabel(f"{letters[1]} [mm]", labelpad=0)
+    figure.savefig(path, format="png")
 
 
 def section_segments(motion: SurfaceMotion, index: int) -> Array:

@@ -1,0 +1,132 @@
+"""What a result folder, a press.npz or a mesh file holds: in numbers, and as a drawing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelsim.errors import SceneError
+from gelsim.outputs import plain_json, read_press
+from gelsim.results import Deformation
+from gelsim.scene import Scene
+from gelsim.scene_file import load_scene
+from gelsim.units import KPA, MESH_UNITS, MM
+
+MESH_SUFFIXES = (".stl", ".obj", ".ply")
+
+
+def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
+    """The facts about a path, as plain values.
+
+    Args:
+        path: A result folder, a press.npz, or an STL, OBJ or PLY file.
+        mesh_unit: What a mesh file's numbers are in.
+    Raises:
+        SceneError: It does not exist, or is none of these.
+    """
+    if path.is_dir():
+        if not (path / "press.npz").exists():
+            raise SceneError(f"{path}: holds no press.npz, so it is no result of gelsim")
+        facts = _press_facts(read_press(path / "press.npz"))
+        facts = {"kind": "result folder", "files": sorted(item.name for item in path.iterdir())} | facts
+        if (path / "report.json").exists():
+            report = json.loads((path / "report.json").read_text(encoding="utf-8"))
+            facts |= {key: report.get(key) for key in ("status", "meshes", "seconds", "warnings")}
+    elif path.suffix == ".npz":
+        facts = {"kind": "press"} | _press_facts(read_press(path))
+    elif path.suffix.lower() in MESH_SUFFIXES:
+        facts = {"kind": "mesh file"} | _mesh_facts(path, mesh_unit)
+    elif not path.exists():
+        raise SceneError(f"{path}: there is no such file or folder")
+    else:
+        raise SceneError(f"{path}: is none of what inspect reads: a result folder, a press.npz, an STL, OBJ or PLY file")
+    plain = plain_json({"path": str(path)} | facts)
+    assert isinstance(plain, dict)
+    return plain
+
+
+def describe(facts: dict[str, Any]) -> str:
+    """The facts as aligned lines for people."""
+    lines = []
+    for key, value in facts.items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items())
+        lines.append(f"{key.replace('_', ' '):<22} {_short(value)}")
+    return "\n".join(lines)
+
+
+def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
+    """Draws what lies at the path into a PNG file.
+
+    Raises:
+        SceneError: As for `inspect`.
+    """
+    from gelsim import sheet
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() in MESH_SUFFIXES:
+        mesh = _load_mesh(path)
+        sheet.draw_surface(out, np.asarray(mesh.vertices) * MESH_UNITS[mesh_unit], np.asarray(mesh.faces), path.name)
+        return
+    folder = path if path.is_dir() else path.parent
+    scene = load_scene(folder / "scene.toml") if (folder / "scene.toml").exists() else Scene()
+    sheet.draw_mechanics(out, scene, read_press(folder / "press.npz" if path.is_dir() else path))
+
+
+def _press_facts(press: Deformation) -> dict[str, Any]:
+    return {
+        "status": press.status.value,
+        "states": len(press.approach),
+        "approach_mm": press.approach / MM,
+        "normal_force_n": np.abs(press.force[:, 2]),
+        "contact_area_mm2": press.contact_area / MM**2,
+        "peak_pressure_kpa": press.contact_pressure.max() / KPA,
+        "gel_surface": f"{len(press.gel.rest)} nodes, {len(press.gel.faces6)} six-node faces",
+        "object_surface": f"{len(press.object.rest)} nodes, {len(press.object.faces6)} six-node faces",
+        "smallest_jacobian": press.min_jacobian.min(),
+        "largest_penetration_mm": press.penetration.max() / MM,
+        "newton_iterations": press.newton_iterations,
+    }
+
+
+def _load_mesh(path: Path) -> Any:
+    import trimesh
+
+    try:
+        return trimesh.load_mesh(str(path))
+    except Exception as error:  # the readers of trimesh raise whatever they stumble on
+        raise SceneError(f"{path}: cannot be read as a mesh ({error})") from None
+
+
+def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
+    mesh = _load_mesh(path)
+    if not len(getattr(mesh, "faces", ())):
+        raise SceneError(f"{path}: holds no triangles")
+    scale = MESH_UNITS[unit] / MM
+    edges, uses = np.unique(np.sort(np.asarray(mesh.edges), axis=1), axis=0, return_counts=True)
+    return {
+        "unit": unit,
+        "vertices": len(mesh.vertices),
+        "triangles": len(mesh.faces),
+        "size_mm": np.asarray(mesh.extents) * scale,
+        "lowest_point_mm": np.asarray(mesh.vertices)[np.argmin(mesh.vertices[:, 2])] * scale,
+        "watertight": bool(mesh.is_watertight),
+        "open_edges": int((uses == 1).sum()),
+        "outward": bool(mesh.is_winding_consistent and mesh.volume > 0),
+        "volume_mm3": float(mesh.volume) * scale**3,
+        "bodies": int(mesh.body_count),
+        "edge_lengths_mm": np.percentile(np.asarray(mesh.edges_unique_length), [0, 50, 100]) * scale,
+    }
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(_short(item) for item in value) or "none"
+    if isinstance(value, dict):
+        return "(" + ", ".join(f"{name} {_short(item)}" for name, item in value.items()) + ")"
+    return str(value)
