@@ -1,0 +1,32 @@
+# make demo: a first tactile video.  make test: the tests.  make lint: what CI checks beside them.
+# Each makes .venv from constraints.txt when it is missing or out of date. No root needed.
+
+PYTHON ?= $(shell for name in python3.11 python3.12 python3.13 python3 python; do \
+	if $$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then command -v $$name; break; fi; done)
+BIN := .venv/bin
+
+.PHONY: demo test lint clean
+.DELETE_ON_ERROR:
+
+demo: .venv/stamp
+	$(BIN)/gelsim render --shape cylinder --shore 30 --out out/demo --force
+	@echo "Look at out/demo/sheet.png and out/demo/video.mp4"
+
+test: .venv/stamp
+	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+lint: .venv/stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/python -m pytest tests/meta/test_layers.py
+
+.venv/stamp: pyproject.toml constraints.txt .ci/fetch_llvm
+	@test -n "$(PYTHON)" || { echo "make: needs Python 3.11 or later (make PYTHON=/path/to/python3.11)" >&2; exit 1; }
+	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[learn,dev]"
+	@.ci/fetch_llvm .venv || echo "no private libLLVM: rendering takes the variant that 'gelsim doctor' names"
+	touch $@
+
+clean:
+	rm -rf .venv out build dist
