@@ -1,12 +1,14 @@
 """Contact of the gel's outer surface with the object's surface: gap, pressure, friction, and their tangents.
 
 Point to surface: each quadrature point x of the gel's six-node faces looks for the closest point y(ξ) on the object's six-node faces, which are
-curved, so a sphere has no facets. With n the object's outward normal there, the gap is g = n·(x - y). The contact potential is a stiff, C²
-penalty per rest area of gel,
+curved, so a sphere has no facets. With n the object's outward normal there, the gap is g = n·(x - y). The contact potential is a C² penalty
+per rest area of gel, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
 
-    φ(g) = 0 (g ≥ 0),  k s³/(6ε) (0 < s = -g < ε),  k (s²/2 - εs/2 + ε²/6) (s ≥ ε),       p = -φ'(g),
+    φ = 0 (s ≤ 0),  k s³/(6ε) (0 < s < ε),  k (s²/2 - εs/2 + ε²/6) (s ≥ ε),       s = λ/k - g,  p = ∂φ/∂s.
 
-and its Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ with both bodies (Wriggers 2006, §9; there at g ≈ 0):
+k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere exactly, do not turn their sub-micrometre misfit into
+pressure ripples; λ, the pressure projected on linear functions over the gel's faces, then carries the load, so that little overlap is left. The
+Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ with both bodies (Wriggers 2006, §9; there at g ≈ 0):
 
     D²g = -T^α N_αᵀ - N_α T^αᵀ - b_αβ T^α T^βᵀ,   T^α·δ = a^α·(δx - δy),  N_α·δ = n·δy,α,  b_αβ = n·y,αβ .
 
@@ -23,6 +25,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg
 import warp as wp
 from numpy.typing import NDArray
 
@@ -36,6 +40,7 @@ Array = NDArray[np.float64]
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
 vec12d = wp.types.vector(length=12, dtype=wp.float64)
 
+OVERHANG = 0.1  # of a face's side: how far beside its face a point may lie before it changes to the neighbour
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
     [[[0, 0], [0.5, 0], [0, 0.5]], [[0.5, 0], [1, 0], [0.5, 0.5]], [[0, 0.5], [0.5, 0.5], [0, 1]], [[0.5, 0], [0.5, 0.5], [0, 0.5]]]
@@ -97,8 +102,7 @@ def clamp_to_face(xi: wp.vec2d) -> wp.vec2d:
 
 
 @wp.func
-def penalty_pressure(gap: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
-    s = -gap
+def penalty_pressure(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     if s <= wp.float64(0.0):
         return wp.float64(0.0)
     if s < eps:
@@ -107,8 +111,7 @@ def penalty_pressure(gap: wp.float64, k: wp.float64, eps: wp.float64) -> wp.floa
 
 
 @wp.func
-def penalty_slope(gap: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
-    s = -gap
+def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     if s <= wp.float64(0.0):
         return wp.float64(0.0)
     if s < eps:
@@ -116,44 +119,65 @@ def penalty_slope(gap: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64
     return k
 
 
+@wp.func
+def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), faces: wp.array2d(dtype=wp.int32), f: wp.int32, xi: wp.vec2d) -> wp.vec2d:
+    """One Gauss-Newton step of |x - y(ξ)|²."""
+    y1 = on_face(x, faces, f, tri6_d1(xi))
+    y2 = on_face(x, faces, f, tri6_d2(xi))
+    r = position - on_face(x, faces, f, tri6(xi))
+    a11 = wp.dot(y1, y1)
+    a12 = wp.dot(y1, y2)
+    a22 = wp.dot(y2, y2)
+    g1 = wp.dot(r, y1)
+    g2 = wp.dot(r, y2)
+    det = a11 * a22 - a12 * a12
+    return xi + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det)
+
+
 @wp.kernel(enable_backward=False)
 def closest_points(
     x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
     mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), reach: wp.float32,
-    face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
+    overhang: wp.float64, face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    gap: wp.array(dtype=wp.float64),
 ):  # fmt: skip
+    """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
+
+    Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
+    """
     i = wp.tid()
     position = on_face(x, slave, i // points, shape[i % points])
-    query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position), reach)
-    face[i] = -1
-    gap[i] = wp.float64(1.0e9)
-    if not query.result:
-        return
-    f = query.face // 4
-    sub = query.face % 4
-    u = wp.float64(query.u)
-    v = wp.float64(query.v)
-    xi = u * corners[sub, 0] + v * corners[sub, 1] + (wp.float64(1.0) - u - v) * corners[sub, 2]
-    # Newton on |x - y(ξ)|², from the closest point of the flat triangle
-    for _ in range(6):
-        y = on_face(x, master, f, tri6(xi))
-        y1 = on_face(x, master, f, tri6_d1(xi))
-        y2 = on_face(x, master, f, tri6_d2(xi))
-        r = position - y
-        a11 = wp.dot(y1, y1)
-        a12 = wp.dot(y1, y2)
-        a22 = wp.dot(y2, y2)
-        g1 = wp.dot(r, y1)
-        g2 = wp.dot(r, y2)
-        det = a11 * a22 - a12 * a12
-        xi = clamp_to_face(xi + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det))
-    y = on_face(x, master, f, tri6(xi))
+    f = face[i]
+    xi = xi_out[i]
+    kept = bool(False)
+    if f >= 0 and wp.abs(gap[i]) < wp.float64(0.1):
+        for _ in range(6):
+            xi = step_to_foot(position, x, master, f, xi)
+        inside = wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
+        if inside > -overhang:
+            kept = wp.length(position - on_face(x, master, f, tri6(xi))) < wp.float64(0.1)
+    clamped = bool(False)
+    if not kept:
+        query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position), reach)
+        face[i] = -1
+        gap[i] = wp.float64(1.0e9)
+        if not query.result:
+            return
+        f = query.face // 4
+        sub = query.face % 4
+        u = wp.float64(query.u)
+        v = wp.float64(query.v)
+        xi = u * corners[sub, 0] + v * corners[sub, 1] + (wp.float64(1.0) - u - v) * corners[sub, 2]
+        for _ in range(6):
+            free = step_to_foot(position, x, master, f, xi)
+            xi = clamp_to_face(free)
+            clamped = wp.length_sq(free - xi) > wp.float64(1.0e-12)
     n = wp.normalize(wp.cross(on_face(x, master, f, tri6_d1(xi)), on_face(x, master, f, tri6_d2(xi))))
-    r = position - y
+    r = position - on_face(x, master, f, tri6(xi))
     d = wp.length(r)
     g = wp.dot(r, n)
-    # beside a sharp edge the closest point is the edge: a point that lies sideways of the face is outside, not under it
-    if g < wp.float64(0.0) and -g < wp.float64(0.7) * d and d > wp.float64(1.0e-4):
+    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it
+    if clamped and g < wp.float64(0.0) and -g < wp.float64(0.7) * d:
         g = d
     face[i] = f
     xi_out[i] = xi
@@ -165,13 +189,14 @@ def closest_points(
 def contact_force(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, weight: wp.array(dtype=wp.float64),
     master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
-    gap: wp.array(dtype=wp.float64), k: wp.float64, eps: wp.float64,
+    gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
     pressure: wp.array(dtype=wp.float64), force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
     i = wp.tid()
     p = wp.float64(0.0)
     if face[i] >= 0:
-        p = penalty_pressure(gap[i], k, eps)
+        k = stiffness[i // points]
+        p = penalty_pressure(multiplier[i] / k - gap[i], k, eps)
     pressure[i] = p
     if p > wp.float64(0.0):
         t = (weight[i] * p) * normal[i]
@@ -232,16 +257,19 @@ def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), 
 def contact_tangent(
     x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d),
-    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), k: wp.float64, eps: wp.float64,
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64), eps: wp.float64, geometric: wp.float64,
     pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
     f = face[i]
-    if f < 0 or gap[i] >= wp.float64(0.0):
+    k = stiffness[i // points]
+    s0 = multiplier[i] / k - gap[i]
+    if f < 0 or s0 <= wp.float64(0.0):
         return
     w = weight[i]
-    p = w * penalty_pressure(gap[i], k, eps)
-    slope = w * penalty_slope(gap[i], k, eps)
+    p = w * penalty_pressure(s0, k, eps)
+    slope = w * penalty_slope(s0, k, eps)
     n = normal[i]
     m = shape[i % points]
     s = tri6(xi[i])
@@ -265,6 +293,7 @@ def contact_tangent(
     b22 = wp.dot(n, four * (x0 + x[master[f, 2]]) - eight * x5)
     b12 = wp.dot(n, four * (x0 - x3 + x[master[f, 4]] - x5))
     curvature = b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1))
+    p = geometric * p
     core = slope * wp.outer(n, n) + p * curvature
     side1 = p * wp.outer(c1, n)
     side2 = p * wp.outer(c2, n)
@@ -385,7 +414,7 @@ class ContactLaw:
     """Constants of the penalty and of friction, in solver units."""
 
     stiffness: float
-    """k [kPa/mm]."""
+    """k·h [kPa]: the penalty of a face times its size h, the root of its area."""
     smoothing: float
     """ε [mm]."""
     friction: float
@@ -427,6 +456,17 @@ class SurfaceContact:
         self.traction = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.anchor_xi = wp.zeros(count, dtype=wp.vec2d, device=device)
+        self.multiplier = wp.zeros(count, dtype=wp.float64, device=device)
+        face_area = self.rest_weight.reshape(-1, points).sum(1)
+        self.stiffness = array(law.stiffness / np.sqrt(face_area), wp.float64)
+        self.vertices, local = np.unique(gel_faces[:, :3], return_inverse=True)
+        self._corner = local.reshape(-1, 3)
+        self._bary = bary
+        mass = np.einsum("fq,qa,qb->fab", self.rest_weight.reshape(-1, points), bary, bary)
+        rows = np.repeat(self._corner, 3, axis=1).ravel()
+        columns = np.tile(self._corner, (1, 3)).ravel()
+        self._projection = sp.linalg.splu(sp.csc_matrix((mass.ravel(), (rows, columns))))
+        self.vertex_multiplier = np.zeros(len(self.vertices))
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
 
     @property
@@ -442,7 +482,7 @@ class SurfaceContact:
         self.mesh.refit()
         wp.launch(
             closest_points, len(self.rest_weight),
-            [x, *self._stencil(), self.mesh.id, self.master, self.corners, reach, self.face, self.xi, self.normal, self.gap],
+            [x, *self._stencil(), self.mesh.id, self.master, self.corners, reach, OVERHANG, self.face, self.xi, self.normal, self.gap],
             device=self.device,
         )  # fmt: skip
 
@@ -451,7 +491,7 @@ class SurfaceContact:
         law = self.law
         wp.launch(
             contact_force, len(self.rest_weight),
-            [*self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, law.stiffness, law.smoothing,
+            [*self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, self.multiplier, self.stiffness, law.smoothing,
              self.pressure, force],
             device=self.device,
         )  # fmt: skip
@@ -463,14 +503,17 @@ class SurfaceContact:
                 device=self.device,
             )  # fmt: skip
 
-    def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array) -> bool:
-        """Adds the Hessian; False where the pattern lacks a pair (then build a new one from `node_pairs`)."""
+    def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array, geometric: bool) -> bool:
+        """Adds the Hessian; False where the pattern lacks a pair (then build a new one from `node_pairs`).
+
+        Without `geometric` only its positive part p' ∇g ∇gᵀ: far from equilibrium the pressures of a wrong overlap would make the rest indefinite.
+        """
         law = self.law
         self.missing.zero_()
         wp.launch(
             contact_tangent, len(self.rest_weight),
-            [x, *self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, law.stiffness, law.smoothing,
-             pattern, values, self.missing],
+            [x, *self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, self.multiplier, self.stiffness, law.smoothing,
+             1.0 if geometric else 0.0, pattern, values, self.missing],
             device=self.device,
         )  # fmt: skip
         if self.frictional:
@@ -492,13 +535,24 @@ class SurfaceContact:
                 device=self.device,
             )  # fmt: skip
 
-    def save(self) -> tuple[Array, Array]:
-        """The friction history, to return to when a step is halved."""
-        return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy()
+    def set_multiplier(self, at_vertices: Array) -> None:
+        """Sets λ [kPa] at the gel's face vertices; negative values (tension) become 0."""
+        self.vertex_multiplier = np.maximum(at_vertices, 0.0)
+        self.multiplier.assign(np.einsum("qa,fa->fq", self._bary, self.vertex_multiplier[self._corner]).ravel())
 
-    def restore(self, history: tuple[Array, Array]) -> None:
+    def augment(self) -> None:
+        """λ becomes the present pressure, projected (L²) on linear functions over the gel's faces."""
+        moment = np.einsum("fq,qa->fa", (self.rest_weight * self.pressure.numpy()).reshape(-1, self.points), self._bary)
+        self.set_multiplier(self._projection.solve(np.bincount(self._corner.ravel(), moment.ravel(), len(self.vertices))))
+
+    def save(self) -> tuple[Array, Array, Array]:
+        """Friction history and multipliers, to return to when a step is halved."""
+        return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy(), self.vertex_multiplier
+
+    def restore(self, history: tuple[Array, Array, Array]) -> None:
         self.anchor_face.assign(history[0])
         self.anchor_xi.assign(history[1])
+        self.set_multiplier(history[2])
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (gel, object) that contact may couple: of faces closer than `margin` [mm], and of the object faces around those."""
@@ -520,8 +574,6 @@ class SurfaceContact:
     def _rings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """For every object face the faces that share a vertex with it, itself included, as CSR arrays."""
         if not hasattr(self, "_ring_cache"):
-            import scipy.sparse as sp
-
             corners = self.object_faces[:, :3]
             rows = np.repeat(np.arange(len(corners)), 3)
             incidence = sp.csr_matrix((np.ones(rows.size, np.int8), (rows, corners.ravel())))

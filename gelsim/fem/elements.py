@@ -55,7 +55,9 @@ def triangle_quadrature(points: int) -> tuple[Array, Array]:
         c = 1 - a - b
         return [[a, b, c], [b, c, a], [c, a, b], [b, a, c], [a, c, b], [c, b, a]]
 
-    if points == 6:
+    if points == 3:
+        bary, weights = orbit3(2 / 3), [1 / 3] * 3
+    elif points == 6:
         bary = orbit3(0.108103018168070) + orbit3(0.816847572980459)
         weights = [0.223381589678011] * 3 + [0.109951743655322] * 3
     elif points == 12:

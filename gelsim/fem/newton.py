@@ -18,6 +18,7 @@ from gelsim.fem.assembly import Solids, SymmetricPattern, build_pattern, pair_ke
 from gelsim.fem.contact import SurfaceContact
 from gelsim.fem.linear import make_solver
 
+GEOMETRIC_BELOW = 0.5  # imbalance under which contact pressures are near enough to trust their geometric stiffness
 Array = NDArray[np.float64]
 
 
@@ -79,13 +80,13 @@ class Newton:
             equations, float(np.abs(unbalanced).max() / scale), float(np.abs(volume / solids.vertex_volume).max()), min_jacobian
         )
 
-    def _matrix(self) -> Array:
+    def _matrix(self, geometric: bool) -> Array:
         """The tangent's values; extends the pattern where contact has moved beyond it."""
         solids = self.solids
         for _ in range(2):
             if self.pattern is not None:
                 values = wp.zeros(len(self.pattern.indices), dtype=wp.float64, device=solids.device)
-                if self.contact.add_tangent(self.x, self.pattern.pairs, values):
+                if self.contact.add_tangent(self.x, self.pattern.pairs, values, geometric):
                     solids.add_tangent(self.pattern.pairs, values)
                     return values.numpy()
             gel, body = self.contact.node_pairs(margin=0.2)
@@ -106,7 +107,7 @@ class Newton:
                 return NewtonReport(SolveStatus.CONVERGED, iteration, size, residual.min_jacobian)
             if iteration == options.max_iterations:
                 break
-            values = self._matrix()
+            values = self._matrix(residual.imbalance < GEOMETRIC_BELOW)
             self.solver.factorise(values)
             self.factorisations += 1
             step = self.solver.solve(-residual.equations)

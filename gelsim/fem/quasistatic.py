@@ -30,9 +30,11 @@ MM = 1e3  # solver lengths are millimetres
 KPA = 1e-3
 MILLINEWTON = 1e-3  # N per solver force unit
 
-# k of the penalty over E of the softest body, per mm: a pressure of E overlaps by 1 µm. docs/validation.md shows what 10 times less or more changes.
-PENALTY_PER_MODULUS = 1e3
-PENALTY_SMOOTHING_MM = 2e-4
+# k·h of the contact penalty over E of the softest body, and its smoothing. docs/validation.md shows what three times less or more changes.
+PENALTY_PER_MODULUS = 30.0
+PENALTY_SMOOTHING_MM = 5e-4
+STICK_SLIP_MM = 1e-3  # elastic slip of friction at a traction of a tenth of E
+AUGMENTATIONS = 1  # a step; the multipliers start from the last two steps' extrapolation, so one is enough
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 
 
@@ -60,7 +62,7 @@ class PressProblem:
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *, tet_points: int = 4,
-                 contact_points: int = 12) -> None:  # fmt: skip
+                 contact_points: int = 6) -> None:  # fmt: skip
         self.scene, self.gel, self.body = scene, gel, body
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -101,7 +103,7 @@ class PressProblem:
         stiffness = PENALTY_PER_MODULUS * softest
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
-        self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, stiffness * (1.0 if friction < 0 else 0.1))
+        self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, 0.1 * softest / STICK_SLIP_MM)
         self.contact = SurfaceContact(gel.groups["coated"], (object_faces + n).astype(np.int32), rest, self.law, device, contact_points)
         self.newton = Newton(self.solids, self.contact, NewtonOptions())
         self.copies = 2 ** len(gel.symmetry)
@@ -184,7 +186,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
     contact.drag(newton.x)
     keep(0.0, 0, 0)
     s, step, easy = 0.0, spacing, 0
-    previous: tuple[float, tuple[Array, Array]] | None = None
+    previous: tuple[float, tuple[Array, Array], Array] | None = None
     normal_force = 0.0
     stopped = False
     halved = 0
@@ -200,11 +202,20 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
         def attempt(new: float, start=start, history=history) -> bool:
             """Solves at approach `new` from the state `start` at s; False leaves that state as it was."""
             nonlocal iterations, factorisations, status, message
+            if previous is not None:
+                ratio = (new - s) / (s - previous[0])
+                contact.set_multiplier(history[2] + ratio * (history[2] - previous[2]))
             solids.set_state(_predict(problem, motion, s, start, previous, new, driven_rest, object_rest))
             reach = 1.0 + 2 * (new - s) * MM
             before = newton.factorisations
             report = newton.solve(reach)
             iterations += report.iterations
+            for _ in range(AUGMENTATIONS):
+                if report.status is not SolveStatus.CONVERGED:
+                    break
+                contact.augment()
+                report = newton.solve(reach)
+                iterations += report.iterations
             factorisations += newton.factorisations - before
             if report.status is SolveStatus.CONVERGED:
                 return True
@@ -225,7 +236,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
         if press.force_n is not None and force >= press.force_n:
             new, stopped = _stop_at_force(problem, attempt, (s, normal_force), (new, force), press.force_n), True
         contact.drag(newton.x)
-        previous = (s, start)
+        previous = (s, start, history[2])
         s, normal_force = new, force
         easy += 1
         if easy >= 2 and step < spacing:
@@ -358,6 +369,6 @@ def _deformation(problem: PressProblem, record: _Recorded, status: SolveStatus, 
         info={
             "unknowns": problem.solids.unknowns, "steps_halved": halved, "symmetry": sorted(gel.symmetry),
             "linear_solver": problem.newton.solver.name, "factorisations": problem.newton.factorisations,
-            "penalty_kpa_per_mm": problem.law.stiffness, "rigid_object": not isinstance(body, TetMesh),
+            "rigid_object": not isinstance(body, TetMesh),
         },
     )  # fmt: skip
