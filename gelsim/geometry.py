@@ -1,8 +1,8 @@
 """Surfaces and solids as arrays, and measures of their quality. Plain NumPy, SI units.
 
-`TriMesh` is a flat-faced surface. `QuadraticSurface` has six nodes a face, so that a sphere is a sphere; contact works on it. `TetMesh` is
-made of ten-node tetrahedra whose mid-side nodes may lie on a curved boundary (isoparametric). Node order of a ten-node tet: vertices 0-3, then the
-middles of the edges 01, 12, 02, 03, 13, 23 (VTK_QUADRATIC_TETRA); of a six-node face: vertices 0-2, then the middles of 01, 12, 20.
+`TriMesh` is a flat-faced surface. `QuadraticSurface` has six nodes a face, so that it can be curved; contact works on it. `TetMesh` is
+made of ten-node tetrahedra whose mid-side nodes may lie on a curved boundary (isoparametric). Node order of a ten-node tet: vertices 0-3,
+then the middles of the edges 01, 12, 02, 03, 13, 23 (VTK_QUADRATIC_TETRA); of a six-node face: vertices 0-2, then the middles of 01, 12, 20.
 """
 
 from __future__ import annotations
@@ -169,13 +169,15 @@ def mirror(mesh: TetMesh, axis: str) -> TetMesh:
     nodes, groups, tets = mesh.rest_positions, mesh.groups, mesh.tets
     copy, image = _image(nodes, axis)
     both = {name: np.vstack([faces, image[faces][:, _FACE_FLIP]]).astype(np.int32) for name, faces in groups.items()}
-    return TetMesh(np.vstack([nodes, copy]), np.vstack([tets, image[tets][:, _TET_FLIP]]), both, mesh.symmetry - {axis})
+    tets = np.vstack([tets, image[tets][:, _TET_FLIP]]).astype(np.int32)
+    return TetMesh(np.vstack([nodes, copy]), tets, both, mesh.symmetry - {axis})
 
 
 def mirror_surface(surface: QuadraticSurface, axis: str) -> QuadraticSurface:
     """A surface together with its mirror image in the plane `axis` = 0; nodes exactly on the plane are shared."""
     copy, image = _image(surface.nodes, axis)
-    return QuadraticSurface(np.vstack([surface.nodes, copy]), np.vstack([surface.faces, image[surface.faces][:, _FACE_FLIP]]))
+    faces = np.vstack([surface.faces, image[surface.faces][:, _FACE_FLIP]]).astype(np.int32)
+    return QuadraticSurface(np.vstack([surface.nodes, copy]), faces)
 
 
 def _image(nodes: NDArray[np.float64], axis: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -186,3 +188,18 @@ def _image(nodes: NDArray[np.float64], axis: str) -> tuple[NDArray[np.float64], 
     copy = nodes[off].copy()
     copy[:, AXES[axis]] *= -1.0
     return copy, image
+
+
+def is_closed(faces: NDArray[np.int32]) -> bool:
+    """Whether every edge is walked exactly once in each direction."""
+    forward = faces[:, FACE_EDGES].reshape(-1, 2).astype(np.int64)
+    span = int(faces.max()) + 1
+    there, back = forward[:, 0] * span + forward[:, 1], forward[:, 1] * span + forward[:, 0]
+    return len(np.unique(there)) == len(there) and np.array_equal(np.sort(there), np.sort(back))
+
+
+def enclosed_volume(surface: TriMesh) -> float:
+    """Volume [m³] inside a closed surface of flat faces (divergence theorem)."""
+    points = np.vstack([surface.vertices, surface.vertices.mean(axis=0)])
+    cells = np.hstack([np.full((len(surface.faces), 1), len(surface.vertices)), surface.faces])
+    return float(tet_volumes(points, cells.astype(np.int32)).sum())

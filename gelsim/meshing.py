@@ -1,32 +1,28 @@
 """Fills the gel and the object with ten-node tetrahedra, fine where they meet and coarse where they do not.
 
-The filling is fTetWild's (Hu et al. 2020) through pytetwild; the edge length it aims at comes from a background mesh that carries
-
-    h(p) = min(h_far, h_contact + growth · d(p)),    d = distance to the box in which contact is expected.
-
-The box is the overlap of the undeformed object and gel at full depth plus a margin for the gel's drape, its half widths rounded up to a few
-classes, so that one gel mesh serves many presses. What comes back is turned right side out, its boundary put exactly onto the planes and
-curved patches of the shape (fTetWild keeps only within an envelope of it), and given mid-side nodes that lie on the exact shape.
+The filling is fTetWild's (Hu et al. 2020) through pytetwild, with the size field of `gelsim.sizing`. What comes back is turned right side
+out, its boundary put exactly onto the planes and curved patches of the shape (fTetWild keeps only within an envelope of it), and given
+mid-side nodes that lie on the exact shape.
 
 A symmetric body is meshed as the part its mirror planes cut out and mirrored up to what is asked for. Under a shape drawn along y both
-bodies are meshed in a space squeezed along y and stretched back: tets are long where nothing changes. The gel is always meshed as a flat block; a dome
-is the image of that block under z ↦ -T + (z + T)(T + height(x, y)) / T, which is exact on its faces and cannot fold.
+bodies are meshed in a space squeezed along y and stretched back: tets are long where nothing changes. The gel is always meshed as a flat
+block; a dome is the image of that block under z ↦ (z + T)(T + height(x, y)) / T - T, exact on its faces.
 
-Left out: refinement along sharp rims away from the contact box, and adaptivity (the press itself reports its error).
+Left out: adaptivity (the press itself reports its error).
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -47,26 +43,10 @@ from gelsim.geometry import (
     tet_volumes,
 )
 from gelsim.scene import Scene
-from gelsim.shapes import (
-    DRAWN,
-    MM,
-    Array,
-    Plane,
-    Solid,
-    check_gel,
-    classify,
-    gel_height,
-    load_mesh,
-    membership,
-    placement,
-    press_depth,
-    rigid_surface,
-    shape_symmetry,
-    snap,
-    solid,
-    solid_surface,
-    zero_cuts,
-)
+from gelsim.shapes import DRAWN, gel_height, load_mesh, placement, press_depth, rigid_surface, shape_symmetry, solid
+from gelsim.sizing import SIZES, Footprint, SizeField, class_above, class_below, contact_edge
+from gelsim.solids import Array, Plane, Solid, classify, membership, snap, solid_surface, zero_cuts
+from gelsim.units import MM
 
 _SCHEMA = 1
 """Raise it when the same key would no longer give the same mesh."""
@@ -77,140 +57,10 @@ _CHORD = 0.05
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
 _ATTEMPTS = ((0.05, 10.0, 40), (0.02, 6.0, 80), (0.1, 6.0, 80))
-"""How far fTetWild may move the surface before its vertices are put back, per edge length in contact; its AMIPS energy to stop at (a regular tet
-has 3); the passes it may take. The next is tried when one leaves a bad tet. A smaller envelope makes it follow the facets of its input with more tets."""
-_CLASSES = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 25.0, 50.0, 100.0]) * MM
-"""Half widths of the contact box [m], about √2 apart."""
-
+"""How far fTetWild may move the surface before its vertices are put back, per edge length in contact; its AMIPS energy to stop at (a
+regular tet has 3); the passes it may take. The next is tried when one leaves a bad tet; a smaller envelope costs more tets."""
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class MeshSizes:
-    """How fine a mesh is; lengths in metres."""
-
-    divisions: float
-    """Edges across the narrow half width of the contact box."""
-    finest: float
-    coarsest_contact: float
-    """Bounds of the edge length in contact: the gel's thickness wants two quadratic tets at least."""
-    growth: float
-    """Edge length gained per length away from the contact box."""
-    gel_far: float
-    object_far: float
-
-
-SIZES = {
-    "fast": MeshSizes(3.0, 0.20 * MM, 1.2 * MM, 0.7, 4.0 * MM, 5.0 * MM),
-    "balanced": MeshSizes(5.0, 0.14 * MM, 0.9 * MM, 0.6, 3.0 * MM, 4.0 * MM),
-    "reference": MeshSizes(8.0, 0.09 * MM, 0.6 * MM, 0.5, 2.0 * MM, 3.0 * MM),
-}
-
-
-# ---------------------------------------------------------------------------------------------------------------- size field
-@dataclass(frozen=True)
-class Footprint:
-    """Where contact is expected: |x| and |y| between `low` and `high` [m], in the gel's frame."""
-
-    low: tuple[float, float]
-    high: tuple[float, float]
-    stretch: float
-    """How many times longer than wide tets may be along y."""
-
-
-def footprint(scene: Scene) -> Footprint:
-    """The undeformed overlap at full depth with a margin for drape and tangential travel, in classes."""
-    surface = rigid_surface(scene, frozenset())
-    turn, shift = placement(scene, surface)
-    points = surface.nodes @ turn.T + shift
-    half = np.array(scene.gel.size_mm) * MM / 2
-    over = (np.abs(points[:, :2]) <= half).all(axis=1)
-    touched = points[over & (points[:, 2] - gel_height(scene.gel, points[:, :2]) < press_depth(scene))][:, :2]
-    if not len(touched):
-        touched = shift[None, :2]
-    margin = 0.1 * MM + np.abs(scene.press.shear_mm) * MM
-    low, high = touched.min(axis=0) - margin, touched.max(axis=0) + margin
-    inner = np.maximum(0.0, np.maximum(low, -high))
-    outer = np.maximum(-low, high)
-    high_class = np.minimum([_class_above(v) for v in outer], half)
-    low_class = [_class_below(v) for v in inner]
-    width = high_class - low_class
-    drawn = scene.object.shape in DRAWN and not scene.press.twist_deg
-    stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
-    return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch)
-
-
-def _class_above(value: float) -> float:
-    return float(_CLASSES[min(np.searchsorted(_CLASSES, value * (1 - 1e-9)), len(_CLASSES) - 1)])
-
-
-def _class_below(value: float) -> float:
-    below = np.searchsorted(_CLASSES, value, side="right")
-    return float(_CLASSES[below - 1]) if below else 0.0
-
-
-def _contact_edge(area: Footprint, sizes: MeshSizes) -> float:
-    half = [(h - lo) / (2 if lo else 1) for lo, h in zip(area.low, area.high, strict=True)]
-    return float(np.clip(min(half[0], half[1]) / sizes.divisions, sizes.finest, sizes.coarsest_contact))
-
-
-@dataclass(frozen=True)
-class SizeField:
-    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high]."""
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    contact: float
-    growth: float
-    far: float
-
-    def __call__(self, points: Array) -> Array:
-        folded = np.concatenate([np.abs(points[..., :2]), points[..., 2:]], axis=-1)
-        away = np.maximum(np.maximum(self.low - folded, folded - self.high), 0.0)
-        return np.minimum(self.far, self.contact + self.growth * np.linalg.norm(away, axis=-1))
-
-    def squeezed(self, stretch: float) -> SizeField:
-        """The same field in the space squeezed along y."""
-        low, high = list(self.low), list(self.high)
-        low[1], high[1] = low[1] / stretch, high[1] / stretch
-        return SizeField((low[0], low[1], low[2]), (high[0], high[1], high[2]), self.contact, self.growth, self.far)
-
-    def background(self, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int32], Array]:
-        """A tetrahedral mesh over the bounding box, its points close where the field is small, and the field at the points."""
-        lines = []
-        for axis in range(3):
-            kinks = {float(lower[axis]), float(upper[axis])}
-            for k in (self.low[axis], self.high[axis]):
-                kinks |= {k, -k} if axis < 2 else {k}
-            stops = sorted(k for k in kinks if lower[axis] <= k <= upper[axis])
-            line = [stops[0]]
-            for a, b in zip(stops[:-1], stops[1:], strict=True):
-                line += _graded(a, b, lambda s, axis=axis: self._along(axis, s))
-            lines.append(np.array(line))
-        shape = tuple(len(line) for line in lines)
-        points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-        number = np.arange(len(points)).reshape(shape)
-        corner = [number[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-        paths = [(1, 2), (1, 4), (2, 1), (2, 4), (4, 1), (4, 2)]  # Kuhn: six tets along the paths from corner 0 to corner 7
-        tets = np.vstack([np.stack([corner[0], corner[a], corner[a + b], corner[7]], axis=1) for a, b in paths])
-        return points, tets.astype(np.int32), self(points)
-
-    def _along(self, axis: int, value: float) -> float:
-        """The smallest field on the plane where coordinate `axis` is `value`."""
-        v = abs(value) if axis < 2 else value
-        return min(self.far, self.contact + self.growth * max(self.low[axis] - v, v - self.high[axis], 0.0))
-
-
-def _graded(a: float, b: float, size: Callable[[float], float]) -> list[float]:
-    """Points from a (left out) to b, each step at most two local edge lengths."""
-    out, at = [], a
-    while True:
-        step = 2.0 * min(size(at), size(min(b, at + 2.0 * size(at))))
-        if at + 1.3 * step >= b:
-            return [*out, b]
-        at += step
-        out.append(at)
 
 
 # ---------------------------------------------------------------------------------------------------------------- the two bodies
@@ -223,12 +73,12 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
         SceneError: The gel's fields make no solid.
         MeshingError: The filling failed or is of too low quality.
     """
-    check_gel(scene.gel)
     sizes, area = SIZES[scene.fidelity], footprint(scene)
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
-    field = SizeField((*area.low, -0.5 * thickness), (*area.high, 0.0), _contact_edge(area, sizes), sizes.growth, sizes.gel_far)
+    field = SizeField((*area.low, -0.5 * thickness), (*area.high, 0.0), contact_edge(area, sizes), sizes.growth, sizes.gel_far)
+    planes = (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), 0), ((0, -1, 0), 0))
     block = Solid(
-        tuple(Plane(n, d) for n, d in (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), 0), ((0, -1, 0), 0))),
+        tuple(Plane(normal, offset) for normal, offset in planes),
         ("coated", "bonded", "side", "side", "x", "y"),
         np.array([[i, j, k] for i in (0.0, x) for j in (0.0, y) for k in (-thickness, 0.0)]),
     )
@@ -253,9 +103,9 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
-    edge = _contact_edge(area, sizes)
+    edge = contact_edge(area, sizes)
     if body.shape == "mesh":
-        surface, shape, stretch = load_mesh(body)[0], None, 1.0
+        surface, shape, stretch = load_mesh(body), None, 1.0
         narrow = float(np.ptp(surface.vertices, axis=0).min())
     else:
         shape, stretch = solid(body, shape_symmetry(body)), area.stretch
@@ -266,6 +116,28 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     field = SizeField((0.0, 0.0, 0.0), (*area.high, 1.5 * press_depth(scene)), edge, sizes.growth, far)
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
     return _mirrored(_cached_fill(surface, shape, field, stretch, label, progress), symmetry)
+
+
+def footprint(scene: Scene) -> Footprint:
+    """The undeformed overlap at full depth with a margin for drape and tangential travel, in classes."""
+    surface = rigid_surface(scene, frozenset())
+    turn, shift = placement(scene, surface)
+    points = surface.nodes @ turn.T + shift
+    half = np.array(scene.gel.size_mm) * MM / 2
+    over = (np.abs(points[:, :2]) <= half).all(axis=1)
+    touched = points[over & (points[:, 2] - gel_height(scene.gel, points[:, :2]) < press_depth(scene))][:, :2]
+    if not len(touched):
+        touched = shift[None, :2]
+    margin = 0.1 * MM + np.abs(scene.press.shear_mm) * MM
+    low, high = touched.min(axis=0) - margin, touched.max(axis=0) + margin
+    inner = np.maximum(0.0, np.maximum(low, -high))
+    outer = np.maximum(-low, high)
+    high_class = np.minimum([class_above(v) for v in outer], half)
+    low_class = [class_below(v) for v in inner]
+    width = high_class - low_class
+    drawn = scene.object.shape in DRAWN and not scene.press.twist_deg
+    stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
+    return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch)
 
 
 def mesh_report(mesh: TetMesh) -> dict[str, object]:
@@ -291,14 +163,13 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
     """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
-    inside = surface.vertices * squeeze
-    for envelope, energy, passes in _ATTEMPTS:
-        envelope *= field.contact
-        vertices, tets = _tetwild(inside, surface.faces, narrow, envelope, energy, passes, label)
+    inside = TriMesh(surface.vertices * squeeze, surface.faces)
+    for attempt in _ATTEMPTS:
+        vertices, tets = _tetwild(inside, narrow, attempt, label)
         vertices = vertices / squeeze
         inverted = tet_volumes(vertices, tets) < 0
         tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
-        vertices, patch = _snapped(vertices, tets, shape, 2 * (envelope + _CHORD * field.contact) * stretch)
+        vertices, patch = _snapped(vertices, tets, shape, 2 * (attempt[0] + _CHORD) * field.contact * stretch)
         quality = tet_quality(vertices * squeeze, tets)
         if quality.min() > _WORST_QUALITY:
             break
@@ -317,31 +188,46 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
     return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES))
 
 
-def _tetwild(vertices: Array, faces: NDArray[np.int32], field: SizeField, envelope: float, energy: float, passes: int, label: str) -> tuple[Array, NDArray[np.int32]]:
-    import pytetwild
+def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, int], label: str) -> tuple[Array, NDArray[np.int32]]:
+    """fTetWild in a process of its own: it writes to the standard streams and into the working folder, and a bad surface can crash it.
 
-    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    It draws random numbers that cannot be seeded, so each call gives another mesh; the cache keeps the first.
+    """
+    envelope, energy, passes = attempt
+    lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     diagonal = float(np.linalg.norm(upper - lower))
     points, cells, values = field.background(lower - 0.05 * diagonal, upper + 0.05 * diagonal)
-    # Millimetres: some of fTetWild's tolerances are absolute.
-    try:
-        with _silence():
-            filled, tets = pytetwild.tetrahedralize(
-                vertices / MM, faces,
-                edge_length_abs=field.far / MM, epsilon=envelope / diagonal, stop_energy=energy,
-                num_opt_iter=passes, num_threads=1, quiet=True, loglevel=6,
-                bg_vertices=points / MM, bg_tets=cells, bg_values=values / MM,
-            )  # fmt: skip
-    except Exception as error:  # the extension raises RuntimeError and others
-        raise MeshingError(f"filling {label} with tetrahedra failed ({error}); try to close and clean its surface") from error
+    with tempfile.TemporaryDirectory() as folder:
+        given = {  # in millimetres: some of its tolerances are absolute
+            "vertices": surface.vertices / MM, "faces": surface.faces,
+            "bg_vertices": points / MM, "bg_tets": cells, "bg_values": values / MM, "edge_length_abs": field.far / MM,
+            "epsilon": envelope * field.contact / diagonal, "stop_energy": energy, "num_opt_iter": passes,
+        }  # fmt: skip
+        np.savez(Path(folder) / "in.npz", **{name: np.asarray(value) for name, value in given.items()})  # type: ignore[arg-type]
+        child = subprocess.run([sys.executable, "-c", _CHILD], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
+        out = Path(folder) / "out.npz"
+        if child.returncode or not out.exists():
+            said = (child.stderr.strip().splitlines() or [f"exit code {child.returncode}"])[-1]
+            raise MeshingError(f"filling {label} with tetrahedra failed ({said}); try to close and clean its surface")
+        with np.load(out, allow_pickle=False) as stored:
+            filled, tets = stored["vertices"], stored["tets"]
     if not len(tets):
-        raise MeshingError(f"filling {label} with tetrahedra left none; its surface encloses nothing: try to close it and to check its orientation")
+        raise MeshingError(f"filling {label} left no tetrahedron: its surface encloses nothing; try to close it and check its orientation")
     used, tets = np.unique(tets, return_inverse=True)
     return filled[used] * MM, tets.reshape(-1, 4).astype(np.int32)
 
 
+_CHILD = """
+import numpy, pytetwild
+with numpy.load("in.npz", allow_pickle=False) as stored:
+    given = {name: stored[name] if stored[name].ndim else stored[name].item() for name in stored.files}
+vertices, tets = pytetwild.tetrahedralize(given.pop("vertices"), given.pop("faces"), num_threads=1, quiet=True, loglevel=6, **given)
+numpy.savez("out.npz", vertices=vertices, tets=tets)
+"""
+
+
 def _snapped(vertices: Array, tets: NDArray[np.int32], shape: Solid | None, near: float) -> tuple[Array, NDArray[np.int64]]:
-    """Boundary vertices on the patches of the faces around them, at most `near` away; and the patch of every boundary face (order of `outer_faces`)."""
+    """Boundary vertices put on the patches of the faces around them, at most `near` away; the patch of each boundary face."""
     if shape is None:
         return vertices, np.zeros(0, np.int64)
     faces = outer_faces(quadratic_tets(vertices, tets)[1])[:, :3]
@@ -354,7 +240,9 @@ def _snapped(vertices: Array, tets: NDArray[np.int32], shape: Solid | None, near
     return moved, patch
 
 
-def _curved(nodes: Array, tets: NDArray[np.int32], boundary: NDArray[np.int32], patch: NDArray[np.int64], shape: Solid, vertex_count: int) -> Array:
+def _curved(
+    nodes: Array, tets: NDArray[np.int32], boundary: NDArray[np.int32], patch: NDArray[np.int64], shape: Solid, vertex_count: int
+) -> Array:
     """Mid-side nodes of boundary edges on the exact shape, but for edges whose curving would fold a tet or move the node too far."""
     member = membership(boundary[:, 3:], patch, len(nodes), len(shape.patches))
     member[:vertex_count] = False
@@ -399,25 +287,8 @@ def _mesh_groups(nodes: Array, boundary: NDArray[np.int32], label: str) -> dict[
 def _check(mesh: TetMesh, label: str) -> None:
     determinants = jacobian_determinants(mesh.rest_positions, mesh.tets)
     if determinants.min() <= 0.0:
-        raise MeshingError(f"{label}: a curved tetrahedron folds (smallest Jacobian {determinants.min() / MM**3:.3g} mm³); try another fidelity")
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Sends what native code writes to the standard streams to nowhere."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    kept = [os.dup(1), os.dup(2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        for target, source in zip((1, 2), kept, strict=True):
-            os.dup2(source, target)
-            os.close(source)
-        os.close(nowhere)
+        worst = determinants.min() / MM**3
+        raise MeshingError(f"meshing {label} left a folded tetrahedron (smallest Jacobian {worst:.3g} mm³); try another fidelity")
 
 
 # ---------------------------------------------------------------------------------------------------------------- cache
@@ -461,7 +332,8 @@ def _write(path: Path, mesh: TetMesh) -> None:
     handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, rest_positions=mesh.rest_positions, tets=mesh.tets, symmetry=np.array("".join(sorted(mesh.symmetry))), **groups)
+            arrays = {"rest_positions": mesh.rest_positions, "tets": mesh.tets, "symmetry": np.array("".join(sorted(mesh.symmetry)))}
+            np.savez(file, **arrays, **groups)  # type: ignore[arg-type]
         os.replace(part, path)
     except BaseException:
         Path(part).unlink(missing_ok=True)
