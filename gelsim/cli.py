@@ -1,8 +1,7 @@
 """The command line: `gelsim render | press | inspect | doctor` (what each writes: README.md).
 
-Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved is
-kept.
-Nothing heavy is imported before a command needs it, so that --help is instant.
+Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved
+is kept. Nothing heavy is imported before a command needs it, so that --help is instant.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Every field of the scene as a flag of the command line, with the field's documentation as its help.
 
-A field `object.radius_mm` is `--object.radius-mm`; fields of [object] and [press] also go by their own name, `--radius-mm`, and a few others have
-the short names in SHORT. What the flags say becomes one layer of the scene (`gelsim.scene_file`), the one that beats all others.
+A field `object.radius_mm` is `--object.radius-mm`; fields of [object] and [press] also go by their own name, `--radius-mm`, and a few
+others have the short names in SHORT. What the flags say becomes one layer of the scene (`gelsim.scene_file`), the one that beats all
+others.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import ast
 import dataclasses
+import re
 import tomllib
 import types
 import typing
@@ -37,8 +39,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_Formatter, **options)
-        # argparse takes -1e-3 for a flag unless told otherwise.
-        self._negative_number_matcher = _NumberMatcher()
+        # argparse takes -1e-3 and -1,2 for flags unless told otherwise.
+        self._negative_number_matcher = re.compile(r"-[\d.]")
 
     def error(self, message: str) -> NoReturn:
         raise SceneError(message.replace("argument ", "flag ", 1) if message.startswith("argument ") else message)
@@ -61,15 +63,6 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
     def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
         # A field of two or three numbers: "X Y", not "X Y [X Y ...]".
         return str(action.metavar) if action.nargs == "+" else super()._format_args(action, default_metavar)
-
-
-class _NumberMatcher:
-    def match(self, text: str) -> bool:
-        try:
-            float(text)
-        except ValueError:
-            return False
-        return True
 
 
 def add_scene_flags(parser: argparse.ArgumentParser) -> None:

@@ -1,7 +1,7 @@
 """The result folder: what each file of a press or a render holds (interfaces: README.md), written whole or not at all.
 
-Every file is written under a temporary name and renamed. A folder is made only when there is something to put into it, and one that holds results
-already is refused unless the caller says `force` (replace them) or `resume` (go on).
+Every file is written under a temporary name and renamed. A folder is made only when there is something to put into it, and one that holds
+results already is refused unless the caller says `force` (replace them) or `resume` (go on).
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import math
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterable, Sequence
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -136,13 +137,13 @@ def read_press(path: Path) -> Deformation:
     try:
         with np.load(path, allow_pickle=False) as data:
             stored = {name: data[name] for name in data.files}
-        sides = {
-            side: SurfaceMotion(stored[f"{side}_rest"], stored[f"{side}_faces"], stored[f"{side}_displacement"], stored[f"{side}_faces6"])
+        gel, body = (
+            SurfaceMotion(stored[f"{side}_rest"], stored[f"{side}_faces"], stored[f"{side}_displacement"], stored[f"{side}_faces6"])
             for side in ("gel", "object")
-        }
-        plain = [item.name for item in dataclasses.fields(Deformation) if item.name not in ("gel", "object", "status", "message", "info")]
-        return Deformation(**{name: stored[name] for name in plain}, **sides, status=SolveStatus[str(stored["status"])])
-    except (OSError, ValueError, KeyError) as error:
+        )
+        named = {item.name: stored[item.name] for item in dataclasses.fields(Deformation) if item.name in stored and item.name != "status"}
+        return Deformation(gel=gel, object=body, status=SolveStatus[str(stored["status"])], **named)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise SceneError(f"{path}: is not a press.npz of gelsim ({error})") from None
 
 
@@ -180,15 +181,16 @@ def check_probe_points(points: NDArray[np.float64], scene: Scene) -> None:
     if len(outside):
         x, y = points[outside[0]] / MM
         raise SceneError(
-            f"--probe: point {outside[0] + 1} at x = {x:g} mm, y = {y:g} mm is off the gel: it ends at ±{half[0] / MM:g}, ±{half[1] / MM:g} mm"
+            f"--probe: point {outside[0] + 1} at x = {x:g} mm, y = {y:g} mm is off the gel: "
+            f"it ends at ±{half[0] / MM:g}, ±{half[1] / MM:g} mm"
         )
 
 
 def sample_surface(motion: SurfaceMotion, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rest positions and displacements of a surface at rest points (x, y), by the shape functions of its six-node faces.
 
-    The face that holds a point is found from its corners; its place in the face by Newton's method on the quadratic map, so that mid-side nodes
-    that are off the middle count. Exact at nodes, and for displacements that are quadratic in a face.
+    The face that holds a point is found from its corners; its place in the face by Newton's method on the quadratic map, so that mid-side
+    nodes that are off the middle count. Exact at nodes, and for displacements that are quadratic in a face.
 
     Args:
         motion: A surface that is a graph over x, y at rest, such as the gel's outer face.
@@ -297,7 +299,8 @@ def write_video(path: Path, frames: Sequence[Frame]) -> None:
     height, width = images[0].shape[:2]
     command = [
         imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error",
-        "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", f"{width}x{height}", "-framerate", str(video_fps(len(frames))), "-i", "-",
+        "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", f"{width}x{height}", "-framerate", str(video_fps(len(frames))),
+        "-i", "-",
         "-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-c:v", "libx264", "-crf", "14", "-threads", "2",
         "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-movflags", "+faststart", "-f", "mp4", str(path),
     ]  # fmt: skip
@@ -345,7 +348,7 @@ def write_scene(path: Path, scene: Scene) -> None:
     path.write_text(dump_scene(scene), encoding="utf-8")
 
 
-def write_report(path: Path, report: dict[str, object]) -> None:
+def write_report(path: Path, report: Mapping[str, object]) -> None:
     """Writes report.json."""
     path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 

@@ -2,8 +2,8 @@
 
     scene -> shapes, meshing -> fem -> membrane -> optics -> files
 
-`press` and `render` compute and return arrays; `run` does what the commands do: the same, and a result folder. What is solved is written as soon as
-it is whole, so a render that fails still leaves its press.
+`press` and `render` compute and return arrays; `run` does what the commands do: the same, and a result folder. What is solved is written
+as soon as it is whole, so a render that fails still leaves its press.
 """
 
 from __future__ import annotations

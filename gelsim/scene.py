@@ -59,9 +59,10 @@ class Body:
     """The pressed object, [object] in the scene file. Frame: apex at the origin, base at z = height."""
 
     shape: str = "cylinder"
-    """flat: a block 25 x 25 mm. box: a block width_mm x length_mm. hemisphere: a ball's end on a straight round foot. cylinder: a rod lying along
-    y, its curved side down, on a straight block. punch: a flat-ended round rod, sharp rim. frustum: a truncated cone, narrow flat end down.
-    cone: apex down, on a straight foot. edge: a wedge, its ridge along y. corner: of a cube, one vertex down. mesh: the file named by mesh."""
+    """flat: a block 25 x 25 mm. box: a block width_mm x length_mm. hemisphere: a ball's end on a straight round foot. cylinder: a rod
+    lying along y, its curved side down, on a straight block. punch: a flat-ended round rod, sharp rim. frustum: a truncated cone, narrow
+    flat end down. cone: apex down, on a straight foot. edge: a wedge, its ridge along y. corner: of a cube, one vertex down. mesh: the
+    file named by mesh."""
     radius_mm: float = 5.0
     """Of hemisphere, cylinder, punch, of a cone's foot and of a frustum's narrow end."""
     height_mm: float = 25.0
@@ -324,7 +325,7 @@ def field_types(section: type) -> dict[str, typing.Any]:
 
 
 def nearest(name: str, known: typing.Iterable[str]) -> str:
-    """", did you mean …?" for a misspelt name, or "" when nothing known comes near."""
+    """ ", did you mean …?" for a misspelt name, or "" when nothing known comes near."""
     match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"; did you mean {match[0]!r}?" if match else ""
 
@@ -366,10 +367,10 @@ def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
         if not math.isfinite(value):
             raise SceneError(f"{name} = {value}: expected a finite number")
         return float(value)
-    if hint is bool or isinstance(value, bool) or not isinstance(value, hint):
-        if not (hint is bool and isinstance(value, bool)):
-            words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
-            raise SceneError(f"{name} = {value!r}: expected {words[hint]}")
+    # True is an int to Python, not to us.
+    if type(value) is not hint:
+        words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+        raise SceneError(f"{name} = {value!r}: expected {words[hint]}")
     return value
 
 
@@ -431,7 +432,8 @@ def _check(scene: Scene) -> None:
                 raise MaterialError(f"{name}.{given[0]}: {error}") from None
     if gel.profile == "dome" and gel.edge_thickness_mm > gel.thickness_mm:
         raise SceneError(
-            f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is no thicker there than gel.thickness_mm = {gel.thickness_mm:g} mm"
+            f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is no thicker there than "
+            f"gel.thickness_mm = {gel.thickness_mm:g} mm"
         )
     _check_object(body)
     friction = scene.contact.friction_coefficient

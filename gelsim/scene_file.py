@@ -1,8 +1,8 @@
 """Scenes as TOML files, and how the layers of a scene lie on each other: defaults < sensor preset < file < flags.
 
 A layer is a nested dictionary with the keys of the dataclasses in `gelsim.scene`. A later layer beats an earlier one field by field, with
-one exception: of shore_00, shore_a and youngs_modulus_kpa the one given last displaces whichever came before. TOML has no null; the text "none"
-stands for it (`depth_mm = "none"`).
+one exception: of shore_00, shore_a and youngs_modulus_kpa the one given last displaces whichever came before. TOML has no null; the text
+"none" stands for it (`depth_mm = "none"`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""sheet.png: a press at a glance. Frames in a row; below them the membrane's height, force and area against approach, a section, the meshes."""
+"""sheet.png: a press at a glance. Frames in a row; below them the membrane's height, force and area against approach, a section, the
+meshes."""
 
 from __future__ import annotations
 
@@ -140,9 +141,9 @@ def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
     view = 0.26 * scene.gel.size_mm[0]
     for motion, colour in ((deformation.object, OBJECT_COLOUR), (deformation.gel, GEL_COLOUR)):
         for index, style in ((0, ":"), (-1, "-")):
-            segments = section_segments(motion, index) / MM
-            axes.add_collection(LineCollection(list(segments), colors=colour if style == "-" else INK, linewidths=1.8 if style == "-" else 0.7,
-                                               linestyles=style, capstyle="round", zorder=3))  # fmt: skip
+            segments = list(section_segments(motion, index) / MM)
+            ink, width = (colour, 1.8) if style == "-" else (INK, 0.7)
+            axes.add_collection(LineCollection(segments, colors=ink, linewidths=width, linestyles=style, capstyle="round", zorder=3))
     gel = section_segments(deformation.gel, -1) / MM
     if len(gel):
         outline = gel.reshape(-1, 2)[np.argsort(gel.reshape(-1, 2)[:, 0])]
@@ -263,25 +264,28 @@ def section_segments(motion: SurfaceMotion, index: int) -> Array:
 
 def closed_loops(segments: Array, tolerance: float = 1e-6) -> list[Array]:
     """Segments (S, 2, 2) strung together into polylines (K, 2) by their common ends."""
-    keys = np.round(segments / tolerance).astype(np.int64)
-    at: dict[tuple[int, int], list[int]] = {}
-    for index, pair in enumerate(keys):
+    ends = [[tuple(end) for end in pair] for pair in np.round(segments / tolerance).astype(np.int64).tolist()]
+    at: dict[tuple[int, ...], list[int]] = {}
+    for index, pair in enumerate(ends):
         for end in pair:
-            at.setdefault((int(end[0]), int(end[1])), []).append(index)
+            at.setdefault(end, []).append(index)
+    # A segment with a loose end starts an open line there; where none is left, only closed loops remain.
+    starts = [(index, side) for index, pair in enumerate(ends) for side in (0, 1) if len(at[pair[side]]) == 1]
+    starts += [(index, 0) for index in range(len(ends))]
     left = set(range(len(segments)))
     loops = []
-    while left:
-        # An open line must start at one of its two ends.
-        start = next((i for i in left if any(len(at[tuple(map(int, end))]) == 1 for end in keys[i])), next(iter(left)))
-        side = 0 if len(at[tuple(map(int, keys[start][0]))]) == 1 else 1 if len(at[tuple(map(int, keys[start][1]))]) == 1 else 0
-        line, current = [segments[start][side]], start
-        while current is not None:
-            left.discard(current)
-            side = 1 - side
-            line.append(segments[current][side])
-            key = tuple(map(int, keys[current][side]))
-            current = next((i for i in at[key] if i in left), None)
-            if current is not None:
-                side = 0 if tuple(map(int, keys[current][0])) == key else 1
+    for index, side in starts:
+        if index not in left:
+            continue
+        line = [segments[index][side]]
+        following: int | None = index
+        while following is not None:
+            index = following
+            left.discard(index)
+            line.append(segments[index][1 - side])
+            corner = ends[index][1 - side]
+            following = next((other for other in at[corner] if other in left), None)
+            if following is not None:
+                side = ends[following].index(corner)
         loops.append(np.array(line))
     return loops

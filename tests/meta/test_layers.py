@@ -1,0 +1,93 @@
+"""Imports point downward only, and heavy packages stay in their homes: read from the syntax trees, nothing is imported."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+# A module may import modules of lower layers and of its own package. Siblings of one layer do not import each other.
+LAYERS = [
+    {"errors", "units"},
+    {"geometry", "materials"},
+    {"scene", "results"},
+    {"scene_file", "markers"},
+    {"solids", "sizing", "mesh_file"},
+    {"shapes", "lightfield", "dataset", "metrics"},
+    {"meshing", "fem", "membrane", "optics"},
+    {"outputs", "sheet"},
+    {"pipeline", "inspection", "doctor", "randomize"},
+    {"generate", "study", "calibrate", "durometer"},
+    {"flags"},
+    {"cli"},
+    {"__main__", "__init__"},
+]
+# Pairs within a layer that may: the first uses the second.
+HELPERS = {("scene", "units"), ("sizing", "solids"), ("mesh_file", "solids"), ("outputs", "sheet")}
+HOMES = {"pytetwild": {"meshing"}, "warp": {"fem"}, "mitsuba": {"optics"}, "drjit": {"optics"}, "torch": set()}
+LEARN_MAY_USE = set().union(*LAYERS[:6])
+
+
+def level(module: str) -> int:
+    return next(index for index, layer in enumerate(LAYERS) if module in layer)
+
+
+def part(path: Path) -> str:
+    """gelsim/fem/newton.py -> fem; gelsim/scene.py -> scene."""
+    inside = path.relative_to(ROOT / "gelsim")
+    return inside.parts[0] if len(inside.parts) > 1 else inside.stem
+
+
+def imports(path: Path) -> list[str]:
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found += [f"gelsim.{alias.name}" for alias in node.names] if node.module == "gelsim" else [node.module or ""]
+    return found
+
+
+GELSIM = sorted((ROOT / "gelsim").rglob("*.py"))
+LEARN = sorted((ROOT / "learn").rglob("*.py"))
+
+
+def violations(here: str, names: list[str]) -> list[str]:
+    wrong = []
+    for name in names:
+        top, _, rest = name.partition(".")
+        if top == "learn":
+            wrong.append(f"{here} imports learn")
+        if top in HOMES and here not in HOMES[top]:
+            wrong.append(f"{here} imports {top}, whose home is {' '.join(HOMES[top]) or 'learn'}")
+        if top == "gelsim" and rest:
+            other = rest.split(".")[0]
+            if other != here and level(other) >= level(here) and (here, other) not in HELPERS:
+                wrong.append(f"{here} imports {other}, which is not below it")
+    return wrong
+
+
+@pytest.mark.parametrize("path", GELSIM, ids=lambda path: str(path.relative_to(ROOT)))
+def test_gelsim_imports_downward(path: Path) -> None:
+    assert violations(part(path), imports(path)) == []
+
+
+def test_learn_imports_only_the_light_layers() -> None:
+    for path in LEARN:
+        for name in imports(path):
+            top, _, rest = name.partition(".")
+            assert top not in ("warp", "mitsuba", "drjit", "pytetwild"), path
+            assert top != "gelsim" or rest.split(".")[0] in LEARN_MAY_USE | {""}, path
+
+
+def test_no_drawer_for_odds_and_ends() -> None:
+    assert [path for path in GELSIM + LEARN if path.stem in ("utils", "common", "helpers", "misc")] == []
+
+
+def test_planted_faults_are_found() -> None:
+    assert violations("scene", ["gelsim.fem.newton"]) and violations("fem", ["gelsim.optics"]) and violations("shapes", ["warp"])
+    assert violations("pipeline", ["learn.data"]) and not violations("cli", ["gelsim.pipeline", "gelsim"])

@@ -1,0 +1,189 @@
+"""The command line: flags become scene fields; bad input is one line, exit code 2, and nothing on disk."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import pytest
+
+from gelsim import cli, pipeline
+from gelsim.errors import SolveError, SolveStatus
+from gelsim.flags import Parser, add_scene_flags, layer_of
+from gelsim.results import Deformation
+from gelsim.scene import Scene, field_types
+from gelsim.scene_file import build_scene
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def scene_of(*flags: str) -> Scene:
+    parser = Parser(prog="gelsim")
+    parser.set_defaults(parser=parser)
+    add_scene_flags(parser)
+    return build_scene(layer_of(parser.parse_all(list(flags))))
+
+
+def write_stl(path: Path, triangles: list[list[tuple[float, float, float]]]) -> None:
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *(number for point in triangle for number in point), 0) for triangle in triangles)
+    path.write_bytes(b"\0" * 80 + struct.pack("<I", len(triangles)) + body)
+
+
+def box(size: float, faces: int = 12) -> list[list[tuple[float, float, float]]]:
+    """A closed box; with fewer than 12 faces an open one."""
+    corners = [(x * size, y * size, z * size) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return [[corners[i] for i in triangle] for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))][:faces]
+
+
+def test_flags_are_fields() -> None:
+    scene = scene_of(
+        "--shape", "punch", "--radius-mm", "3", "--rigid", "--gel.thickness-mm", "3", "--object.poissons-ratio", "0.49",
+        "--depth-mm", "none", "--force-n", "5", "--tilt-deg", "-1.5", "2e0", "--offset-mm", "-1e-1,2", "--resolution", "640x480",
+        "--sensor", "fingertip2017", "--friction", "stick", "--spp", "8", "--fidelity", "fast", "--seed", "7", "--symmetry", "none",
+    )  # fmt: skip
+    assert (scene.object.shape, scene.object.radius_mm, scene.object.rigid, scene.object.poissons_ratio) == ("punch", 3.0, True, 0.49)
+    assert (scene.press.depth_mm, scene.press.force_n, scene.press.symmetry) == (None, 5.0, "none")
+    assert (scene.press.tilt_deg, scene.press.offset_mm) == ((-1.5, 2.0), (-0.1, 2.0))
+    assert (scene.gel.thickness_mm, scene.render.resolution, scene.render.spp) == (3.0, (640, 480), 8)
+    assert (scene.contact.friction_coefficient, scene.fidelity, scene.seed) == ("stick", "fast", 7)
+
+
+def test_shore_flag_takes_a_scale() -> None:
+    assert scene_of("--shore", "45").object.shore_00 == 45.0
+    hard = scene_of("--shore", "45", "--shore-scale", "A").object
+    assert (hard.shore_00, hard.shore_a) == (None, 45.0)
+
+
+def test_lights_can_be_given_as_toml() -> None:
+    lights = scene_of("--lights.lights", "[{name = 'red', rgb = [1, 0, 0]}]").lights.lights
+    assert [light.name for light in lights] == ["red"]
+
+
+def test_every_field_is_a_flag_with_help() -> None:
+    parser = Parser(prog="gelsim")
+    add_scene_flags(parser)
+    helps = {flag: action.help for action in parser._actions for flag in action.option_strings}
+    for section, kind in field_types(Scene).items():
+        names = [f"{section}.{name}" for name in field_types(kind)] if section not in ("fidelity", "seed") else [section]
+        for name in names:
+            assert "--" + name.replace("_", "-") in helps
+    undocumented = [flag for flag, text in helps.items() if flag.startswith("--object.") and not (text or "").split("(")[0].strip()]
+    assert undocumented == []
+
+
+BAD = {
+    "unknown flag": (["--shap", "flat"], "unknown flag '--shap'; did you mean '--shape'"),
+    "unknown shape": (["--shape", "cylindre"], "did you mean 'cylinder'"),
+    "negative radius": (["--radius-mm", "-5"], "object.radius_mm = -5 mm: allowed is"),
+    "Shore 130": (["--shore", "130"], "Shore 00 reading 130"),
+    "both moduli": (["--shore", "30", "--object.youngs-modulus-kpa", "100"], "give exactly one of"),
+    "scale alone": (["--shore-scale", "A"], "give the number too"),
+    "depth": (["--depth-mm", "30"], "press.depth_mm = 30 mm: it must be less than object.height_mm"),
+    "no number": (["--radius-mm", "big"], "object.radius_mm = 'big': expected a number"),
+    "missing value": (["--radius-mm"], "--radius-mm"),
+    "missing scene": (["--scene", "nowhere.toml"], "nowhere.toml"),
+    "missing mesh": (["--shape", "mesh", "--mesh", "nowhere.stl"], "nowhere.stl"),
+    "device": (["--device", "tpu"], "--device"),
+    "resolution": (["--resolution", "640"], "render.resolution"),
+    "out is a file": (["--out", "file.txt"], "is a file, not a folder"),
+    "out below a file": (["--out", "file.txt/deep"], "cannot be written to"),
+    "out is full": (["--out", "full"], "not empty; give --force"),
+    "open mesh": (["--shape", "mesh", "--mesh", "open.stl"], "open.stl"),
+    "metres": (["--shape", "mesh", "--mesh", "metres.stl"], "read in mm"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("command", ["press", "render"])
+def test_bad_input_is_one_line_and_leaves_nothing(name: str, command: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    flags, expected = BAD[name]
+    (tmp_path / "file.txt").write_text("a file")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "old.txt").write_text("an earlier result")
+    write_stl(tmp_path / "open.stl", box(10.0, faces=11))
+    write_stl(tmp_path / "metres.stl", box(0.01))
+    before = sorted(tmp_path.rglob("*"))
+    assert cli.main([command, *flags]) == cli.BAD_INPUT
+    output = capfd.readouterr()
+    assert output.out == "" and expected in output.err
+    assert output.err.count("\n") == 1 and "Traceback" not in output.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_json_is_the_only_thing_on_stdout(capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["press", "--shore", "130", "--json"]) == cli.BAD_INPUT
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["exit_code"] == 2 and "Shore 00 reading 130" in answer["error"]
+
+
+def test_debug_shows_the_trace(capfd: pytest.CaptureFixture[str]) -> None:
+    cli.main(["press", "--shore", "130", "--debug"])
+    assert "Traceback" in capfd.readouterr().err
+
+
+def test_unsolved_press_exits_3_and_keeps_what_was_solved(
+    deformation: Deformation, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    from dataclasses import replace
+
+    stopped = replace(deformation, status=SolveStatus.MAX_ITERATIONS)
+
+    def give_up(*_: object, **__: object) -> Deformation:
+        raise SolveError("press stopped at step 3: residual 0.2 N", stopped)
+
+    monkeypatch.setattr(pipeline, "press", give_up)
+    assert cli.main(["render", "--out", "kept"]) == cli.NUMERICS
+    assert "residual 0.2 N (what was solved is in kept)" in capfd.readouterr().err
+    assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == ["press.npz", "report.json", "scene.toml"]
+    report = json.loads((tmp_path / "kept/report.json").read_text())
+    assert report["error"].startswith("press stopped") and report["status"] == SolveStatus.MAX_ITERATIONS.value
+    # What is kept cannot be taken for a whole press.
+    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    assert cli.main(["press", "--out", "kept", "--resume"]) == cli.OK
+    assert json.loads((tmp_path / "kept/report.json").read_text())["status"] == SolveStatus.CONVERGED.value
+
+
+def test_resume_takes_the_press_of_the_same_scene(
+    deformation: Deformation, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    assert cli.main(["press", "--out", "a"]) == cli.OK
+
+    def never(*_: object, **__: object) -> Deformation:
+        raise AssertionError("solved again")
+
+    monkeypatch.setattr(pipeline, "press", never)
+    assert cli.main(["press", "--out", "a", "--resume"]) == cli.OK
+    assert cli.main(["press", "--out", "a", "--resume", "--shore", "31"]) == cli.BAD_INPUT
+    assert "made with another [object]" in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_render_writes_everything(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    flags = [
+        "--shape",
+        "hemisphere",
+        "--rigid",
+        "--depth-mm",
+        "0.2",
+        "--frames",
+        "3",
+        "--fidelity",
+        "fast",
+        "--spp",
+        "2",
+        "--resolution",
+        "64x48",
+    ]
+    assert cli.main(["render", *flags, "--gel.profile", "flat", "--out", "a", "--exr", "--json"]) == cli.OK
+    report = json.loads(capfd.readouterr().out)
+    names = {"frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png", "scene.toml", "press.npz", "report.json"}
+    assert {path.name for path in (tmp_path / "a").iterdir()} == names
+    assert report == json.loads((tmp_path / "a/report.json").read_text())
+    assert report["choices"]["variant"] and report["final"]["normal_force_n"] > 0
+    assert cli.main(["inspect", "a", "--out", "a.png"]) == cli.OK

@@ -1,0 +1,123 @@
+"""Scene files: layers, presets, and every way to get one wrong."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gelsim.errors import MaterialError, SceneError
+from gelsim.scene import Body, Gel, Press, Scene
+from gelsim.scene_file import build_scene, dump_scene, load_scene, preset_names
+
+
+def test_defaults_are_those_of_the_paper() -> None:
+    scene = build_scene()
+    assert (scene.gel.profile, scene.gel.thickness_mm, scene.gel.shore_00) == ("dome", 2.4, 17.0)
+    assert (scene.object.shape, scene.object.shore_00) == ("cylinder", 30.0)
+    assert (scene.camera.resolution, scene.camera.field_mm) == ((960, 720), (18.4, 13.8))
+
+
+@pytest.mark.parametrize("name", ["fingertip2017", "gelsight_mini"])
+def test_presets_load(name: str) -> None:
+    assert name in preset_names()
+    assert build_scene({"sensor": {"preset": name}}).lights.lights
+
+
+def test_written_scene_reads_back_equal(tmp_path: Path) -> None:
+    scene = build_scene({"object": {"shape": "punch", "rigid": True}, "press": {"force_n": "none", "shear_mm": [0.1, -0.2]}})
+    (tmp_path / "scene.toml").write_text(dump_scene(scene), encoding="utf-8")
+    assert load_scene(tmp_path / "scene.toml") == scene
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "scenes").glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_scenes_load(path: Path) -> None:
+    load_scene(path)
+
+
+def test_later_layer_beats_earlier_one() -> None:
+    scene = build_scene({"press": {"depth_mm": 0.5, "frames": 4}}, {"press": {"depth_mm": 0.7}})
+    assert (scene.press.depth_mm, scene.press.frames) == (0.7, 4)
+
+
+def test_hardness_given_last_displaces_the_others() -> None:
+    scene = build_scene({"object": {"shore_00": 20}, "gel": {"youngs_modulus_kpa": 50}}, {"object": {"shore_a": 45}})
+    assert (scene.object.shore_00, scene.object.shore_a) == (None, 45.0)
+    assert (scene.gel.shore_00, scene.gel.youngs_modulus_kpa) == (None, 50.0)  # the preset's 00-17 lies below
+
+
+def test_preset_fills_and_file_overrides(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("[gel]\nthickness_mm = 3.0\nshore_00 = 25\n", encoding="utf-8")
+    (tmp_path / "scene.toml").write_text('[sensor]\npreset = "mine.toml"\n[gel]\nthickness_mm = 3.5\n', encoding="utf-8")
+    gel = load_scene(tmp_path / "scene.toml").gel  # the preset's path is relative to the scene file
+    assert (gel.thickness_mm, gel.shore_00) == (3.5, 25.0)
+
+
+def test_mesh_path_is_relative_to_the_scene_file(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text('[object]\nshape = "mesh"\nmesh = "part.stl"\n', encoding="utf-8")
+    assert load_scene(tmp_path / "scene.toml").object.mesh == str((tmp_path / "part.stl").resolve())
+
+
+def test_scene_made_in_python_is_checked_and_hashable() -> None:
+    scene = Scene(object=Body(shore_a=45), press=Press(depth_mm=1))
+    assert scene.object.shore_00 is None and isinstance(scene.press.depth_mm, float)
+    assert hash(scene) == hash(scene.replace()) and scene.replace(press=Press(depth_mm=0.4)) != scene
+    with pytest.raises(SceneError, match="press.frames"):
+        scene.replace(press=replace(scene.press, frames=1))
+
+
+BAD = {
+    "unknown section": ('[objct]\nshape = "flat"', "unknown key 'objct'; did you mean 'object'"),
+    "unknown key": ("[object]\nradius = 3", "unknown key 'object.radius'; did you mean 'radius_mm'"),
+    "unknown key of a light": ("[[lights.lights]]\nnam = 'red'", "unknown key 'lights.lights.nam'; did you mean 'name'"),
+    "unknown shape": ('[object]\nshape = "cylindre"', "did you mean 'cylinder'"),
+    "negative radius": ("[object]\nradius_mm = -5", "object.radius_mm = -5 mm: allowed is"),
+    "soft and small": ('[object]\nshape = "hemisphere"\nradius_mm = 1', "object.radius_mm = 1 mm: allowed for a soft hemisphere is 2.5"),
+    "Shore 130": ("[object]\nshore_00 = 130", "object.shore_00: Shore 00 reading 130: allowed is 1 … 99"),
+    "Shore A 10": ("[object]\nshore_a = 10", "object.shore_a: Shore A reading 10: allowed is 20 … 80; softer"),
+    "two moduli": ("[object]\nshore_00 = 30\nyoungs_modulus_kpa = 100", "give exactly one of shore_00, shore_a, youngs_modulus_kpa"),
+    "incompressible": ("[gel]\npoissons_ratio = 0.5", "gel.poissons_ratio = 0.5: allowed is 0 … 0.49999"),
+    "depth beyond the object": ("[press]\ndepth_mm = 26", "press.depth_mm = 26 mm: it must be less than object.height_mm = 25 mm"),
+    "depth beyond the gel": ("[press]\ndepth_mm = 2.3\n[object]\nrigid = true", "0.8 of gel.thickness_mm deep, 1.92 mm"),
+    "no end": ('[press]\ndepth_mm = "none"\nforce_n = "none"', "both none"),
+    "depth nan": ("[press]\ndepth_mm = nan", "press.depth_mm = nan: expected a finite number"),
+    "frames": ("[press]\nframes = 1", "press.frames = 1: allowed is 2 … 1000"),
+    "half a frame": ("[press]\nframes = 2.5", "press.frames = 2.5: expected a whole number"),
+    "friction": ("[contact]\nfriction_coefficient = -0.1", "contact.friction_coefficient = -0.1: allowed is 0 … 10"),
+    "friction word": ('[contact]\nfriction_coefficient = "glue"', '"stick"'),
+    "beside the gel": ("[press]\noffset_mm = [0, 20]", "press.offset_mm = 20 mm along y"),
+    "one number for two": ("[press]\ntilt_deg = [1]", "press.tilt_deg = [1]: expected a list of 2 values"),
+    "text for a number": ('[gel]\nthickness_mm = "thick"', "gel.thickness_mm = 'thick': expected a number"),
+    "true for a number": ("[gel]\nthickness_mm = true", "gel.thickness_mm = True: expected a number"),
+    "number for a section": ("gel = 3", "gel = 3: expected a table, [gel]"),
+    "resolution": ("[render]\nresolution = [8, 8]", "render.resolution = 8 8: allowed is 16 … 4096"),
+    "samples": ("[render]\nspp = 0", "render.spp = 0: allowed is 1"),
+    "dome thicker at its edge": ("[gel]\nedge_thickness_mm = 3", "gel.edge_thickness_mm = 3 mm"),
+    "markers overlap": ("[markers]\nradius_mm = 0.7", "markers overlap"),
+    "mesh without a file": ('[object]\nshape = "mesh"', "object.mesh is missing"),
+    "file without mesh": ('[object]\nmesh = "a.stl"', 'say shape = "mesh"'),
+    "preset": ('[sensor]\npreset = "fingertip2018"', "did you mean 'fingertip2017'"),
+    "law": ('[object]\nlaw = "neohookean"', "did you mean 'neo-hookean'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_wrong_scene_is_one_clear_line(name: str) -> None:
+    text, expected = BAD[name]
+    with pytest.raises((SceneError, MaterialError)) as caught:
+        build_scene(tomllib.loads(text))
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unreadable_files_are_scene_errors(tmp_path: Path) -> None:
+    (tmp_path / "broken.toml").write_text("[gel\n", encoding="utf-8")
+    for path in (tmp_path / "missing.toml", tmp_path / "broken.toml", tmp_path):
+        with pytest.raises(SceneError, match="cannot be read|is not TOML"):
+            load_scene(path)
+
+
+def test_small_rigid_ball_is_allowed() -> None:
+    Scene(object=Body(shape="hemisphere", radius_mm=1.0, rigid=True), gel=Gel(profile="flat"), press=Press(depth_mm=0.3))
