@@ -2,7 +2,8 @@
 
 `TriMesh` is a flat-faced surface. `QuadraticSurface` has six nodes a face, so that it can be curved; contact works on it. `TetMesh` is
 made of ten-node tetrahedra whose mid-side nodes may lie on a curved boundary (isoparametric). Node order of a ten-node tet: vertices 0-3,
-then the middles of the edges 01, 12, 02, 03, 13, 23 (VTK_QUADRATIC_TETRA); of a six-node face: vertices 0-2, then the middles of 01, 12, 20.
+then the middles of the edges 01, 12, 02, 03, 13, 23 (VTK_QUADRATIC_TETRA); of a six-node face: vertices 0-2, then the middles of 01, 12,
+20.
 """
 
 from __future__ import annotations

@@ -343,7 +343,7 @@ def _write(path: Path, mesh: TetMesh) -> None:
 def _read(path: Path) -> TetMesh | None:
     """The stored mesh, or None where there is none or it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             groups = {name.removeprefix("group_"): stored[name] for name in stored.files if name.startswith("group_")}
             mesh = TetMesh(stored["rest_positions"], stored["tets"], groups, frozenset(str(stored["symmetry"])))
         count = len(mesh.rest_positions)

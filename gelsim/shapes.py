@@ -46,7 +46,7 @@ _LENGTH_MM = {"box": 15.0}
 """Where 25 mm is not the default."""
 _ANGLE_DEG = {"edge": 90.0, "cone": 90.0, "frustum": 75.0}
 _FINE = 0.25e-3
-"""Edge length of a rigid surface in the contact [m]: a six-node face of it lies within 1 nm of a ball of 5 mm (a 6e-3 (h/R)³ h of it)."""
+"""Edge length of a rigid surface in the contact [m]: its six-node faces lie within 20 nm of a ball of 5 mm (test_shapes.py)."""
 
 
 # ---------------------------------------------------------------------------------------------------------------- parameters
@@ -194,6 +194,7 @@ def _polyhedron(planes: list[Patch]) -> Array:
             if (normals @ p <= offsets + 1e-12).all():
                 corners.append(p)
     found = np.array(corners)
+    found[np.abs(found) < 1e-15] = 0.0  # so that corners on a cut plane are exactly on it
     _, first = np.unique(np.round(found, 10), axis=0, return_index=True)
     return found[np.sort(first)]
 
