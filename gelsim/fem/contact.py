@@ -12,9 +12,10 @@ Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ 
 
     D²g = -T^α N_αᵀ - N_α T^αᵀ - b_αβ T^α T^βᵀ,   T^α·δ = a^α·(δx - δy),  N_α·δ = n·δy,α,  b_αβ = n·y,αβ .
 
-Friction is Coulomb's with an elastic stick of stiffness k_t: every point in contact holds an anchor on the object; with e the tangential part of
-x - y(anchor), the traction is k_t e up to μp and then follows e at μp; after each load step a sliding anchor is dragged along. p in μp is that of
-the current iterate in the residual and constant in the tangent, which keeps the matrix symmetric and costs an iteration or two.
+Friction is Coulomb's, in the same way (Simo and Laursen 1992): with e the tangential slip of a point since the last load step (against the place on the
+object that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. p in μp is that
+of the current iterate in the residual and constant in the tangent, which keeps the matrix symmetric and costs an iteration or two. Far from
+equilibrium the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
 
 A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, and the object's points against the gel's faces (the
 gel carries the finer mesh, and `penetration` is what shows if that fails).
@@ -208,12 +209,11 @@ def contact_force(
 
 
 @wp.func
-def friction_traction(e: wp.vec3d, limit: wp.float64, kt: wp.float64) -> wp.vec3d:
-    """Traction on the object by the gel's drag (opposite on the gel); `limit` < 0 means unlimited."""
-    size = kt * wp.length(e)
-    if limit >= wp.float64(0.0) and size > limit:
-        return (limit / size * kt) * e
-    return kt * e
+def slip_trial(x: wp.array(dtype=wp.vec3d), position: wp.vec3d, master: wp.array2d(dtype=wp.int32), f: wp.int32, s: vec6d,
+               n: wp.vec3d, shift: wp.vec3d, kt: wp.float64) -> wp.vec3d:  # fmt: skip
+    """Trial traction λ_t + k_t e in the tangent plane of n: what the gel drags the object with."""
+    t = shift + kt * (position - on_face(x, master, f, s))
+    return t - wp.dot(t, n) * n
 
 
 @wp.kernel(enable_backward=False)
@@ -221,24 +221,24 @@ def friction_force(
     x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
-    mu: wp.float64, kt: wp.float64, traction: wp.array(dtype=wp.vec3d), force: wp.array(dtype=wp.vec3d),
+    shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stiffness: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d),
+    force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
+    """`traction` becomes that on the gel."""
     i = wp.tid()
     traction[i] = wp.vec3d()
     if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
         return
     m = shape[i % points]
-    n = tri6(anchor_xi[i])
-    d = on_face(x, slave, i // points, m) - on_face(x, master, anchor_face[i], n)
-    e = d - wp.dot(d, normal[i]) * normal[i]
-    limit = wp.float64(-1.0)
-    if mu >= wp.float64(0.0):
-        limit = mu * pressure[i]
-    t = friction_traction(e, limit, kt)
+    s = tri6(anchor_xi[i])
+    t = slip_trial(x, on_face(x, slave, i // points, m), master, anchor_face[i], s, normal[i], shift[i], stiffness[i // points])
+    size = wp.length(t)
+    if mu >= wp.float64(0.0) and size > mu * pressure[i]:
+        t = (mu * pressure[i] / size) * t
     traction[i] = -t
     for a in range(6):
         wp.atomic_add(force, slave[i // points, a], (weight[i] * m[a]) * t)
-        wp.atomic_add(force, master[anchor_face[i], a], (-weight[i] * n[a]) * t)
+        wp.atomic_add(force, master[anchor_face[i], a], (-weight[i] * s[a]) * t)
 
 
 @wp.func
@@ -333,7 +333,8 @@ def friction_tangent(
     x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
-    mu: wp.float64, kt: wp.float64, pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
+    shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stick: wp.array(dtype=wp.float64), secant: wp.float64,
+    pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
     if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
@@ -341,14 +342,14 @@ def friction_tangent(
     m = shape[i % points]
     s = tri6(anchor_xi[i])
     n = normal[i]
-    d = on_face(x, slave, i // points, m) - on_face(x, master, anchor_face[i], s)
-    e = d - wp.dot(d, n) * n
+    kt = stick[i // points]
+    t = slip_trial(x, on_face(x, slave, i // points, m), master, anchor_face[i], s, n, shift[i], kt)
     tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
     stiffness = kt * tangential
-    size = wp.length(e)
-    if mu >= wp.float64(0.0) and kt * size > mu * pressure[i]:
-        direction = e / size
-        stiffness = (mu * pressure[i] / size) * (tangential - wp.outer(direction, direction))
+    size = wp.length(t)
+    if mu >= wp.float64(0.0) and size > mu * pressure[i]:
+        direction = t / size
+        stiffness = (kt * mu * pressure[i] / size) * (tangential - (wp.float64(1.0) - secant) * wp.outer(direction, direction))
     stiffness = weight[i] * stiffness
     for a in range(12):
         na = int(0)
@@ -371,44 +372,6 @@ def friction_tangent(
             add_stencil_block(pattern, values, na, nb, (ca * cb) * stiffness, missing)
 
 
-@wp.kernel(enable_backward=False)
-def drag_anchors(
-    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
-    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
-    pressure: wp.array(dtype=wp.float64), mu: wp.float64, kt: wp.float64,
-    anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
-):  # fmt: skip
-    """After a converged step: a point out of contact anchors where it would touch; a sliding one is left at the elastic limit."""
-    i = wp.tid()
-    if face[i] < 0:
-        anchor_face[i] = -1
-        return
-    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
-        anchor_face[i] = face[i]
-        anchor_xi[i] = xi[i]
-        return
-    if mu < wp.float64(0.0):
-        return
-    n = normal[i]
-    d = on_face(x, slave, i // points, shape[i % points]) - on_face(x, master, anchor_face[i], tri6(anchor_xi[i]))
-    e = d - wp.dot(d, n) * n
-    size = kt * wp.length(e)
-    limit = mu * pressure[i]
-    if size > limit:
-        # the new anchor lies at -e·(limit/size) from the closest point, within its face
-        y1 = on_face(x, master, face[i], tri6_d1(xi[i]))
-        y2 = on_face(x, master, face[i], tri6_d2(xi[i]))
-        a11 = wp.dot(y1, y1)
-        a12 = wp.dot(y1, y2)
-        a22 = wp.dot(y2, y2)
-        det = a11 * a22 - a12 * a12
-        back = (-limit / size) * e
-        g1 = wp.dot(back, y1)
-        g2 = wp.dot(back, y2)
-        anchor_face[i] = face[i]
-        anchor_xi[i] = xi[i] + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det)
-
-
 @dataclass(frozen=True)
 class ContactLaw:
     """Constants of the penalty and of friction, in solver units."""
@@ -420,7 +383,7 @@ class ContactLaw:
     friction: float
     """μ; 0 for none, -1 for sticking."""
     stick_stiffness: float
-    """k_t [kPa/mm]."""
+    """k_t·h [kPa], likewise."""
 
 
 class SurfaceContact:
@@ -436,6 +399,7 @@ class SurfaceContact:
         area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1)
         self.rest_weight = (area * rule).ravel()
         count = len(self.rest_weight)
+        face_area = self.rest_weight.reshape(-1, points).sum(1)
 
         def array(data: object, dtype: object) -> wp.array:
             return wp.array(data, dtype=dtype, device=device)
@@ -454,10 +418,11 @@ class SurfaceContact:
         self.gap = wp.full(count, 1e9, dtype=wp.float64, device=device)
         self.pressure = wp.zeros(count, dtype=wp.float64, device=device)
         self.traction = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.stick = array(law.stick_stiffness / np.sqrt(face_area), wp.float64)
+        self.shift = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.anchor_xi = wp.zeros(count, dtype=wp.vec2d, device=device)
         self.multiplier = wp.zeros(count, dtype=wp.float64, device=device)
-        face_area = self.rest_weight.reshape(-1, points).sum(1)
         self.stiffness = array(law.stiffness / np.sqrt(face_area), wp.float64)
         self.vertices, local = np.unique(gel_faces[:, :3], return_inverse=True)
         self._corner = local.reshape(-1, 3)
@@ -466,7 +431,7 @@ class SurfaceContact:
         rows = np.repeat(self._corner, 3, axis=1).ravel()
         columns = np.tile(self._corner, (1, 3)).ravel()
         self._projection = sp.linalg.splu(sp.csc_matrix((mass.ravel(), (rows, columns))))
-        self.vertex_multiplier = np.zeros(len(self.vertices))
+        self.multipliers = np.zeros((len(self.vertices), 4))
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
 
     @property
@@ -499,7 +464,7 @@ class SurfaceContact:
             wp.launch(
                 friction_force, len(self.rest_weight),
                 [x, *self._stencil(), self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi,
-                 law.friction, law.stick_stiffness, self.traction, force],
+                 self.shift, law.friction, self.stick, self.traction, force],
                 device=self.device,
             )  # fmt: skip
 
@@ -520,39 +485,41 @@ class SurfaceContact:
             wp.launch(
                 friction_tangent, len(self.rest_weight),
                 [x, *self._stencil(), self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi,
-                 law.friction, law.stick_stiffness, pattern, values, self.missing],
+                 self.shift, law.friction, self.stick, 0.0 if geometric else 1.0, pattern, values, self.missing],
                 device=self.device,
             )  # fmt: skip
         return int(self.missing.numpy()[0]) == 0
 
-    def drag(self, x: wp.array) -> None:
-        """Moves the friction anchors after a converged step."""
-        if self.frictional:
-            wp.launch(
-                drag_anchors, len(self.rest_weight),
-                [x, *self._stencil(), self.master, self.face, self.xi, self.normal, self.pressure, self.law.friction,
-                 self.law.stick_stiffness, self.anchor_face, self.anchor_xi],
-                device=self.device,
-            )  # fmt: skip
+    def settle(self) -> None:
+        """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points."""
+        self.augment()
+        self.anchor_face.assign(self.face)
+        self.anchor_xi.assign(self.xi)
 
-    def set_multiplier(self, at_vertices: Array) -> None:
-        """Sets λ [kPa] at the gel's face vertices; negative values (tension) become 0."""
-        self.vertex_multiplier = np.maximum(at_vertices, 0.0)
-        self.multiplier.assign(np.einsum("qa,fa->fq", self._bary, self.vertex_multiplier[self._corner]).ravel())
+    def set_multipliers(self, at_vertices: Array) -> None:
+        """Sets λ and λ_t [kPa] at the gel's face vertices, (V, 4); negative pressure becomes 0."""
+        self.multipliers = at_vertices.copy()
+        self.multipliers[:, 0] = np.maximum(at_vertices[:, 0], 0.0)
+        at_points = np.einsum("qa,fac->fqc", self._bary, self.multipliers[self._corner]).reshape(-1, 4)
+        self.multiplier.assign(at_points[:, 0])
+        if self.frictional:
+            self.shift.assign(-at_points[:, 1:])
 
     def augment(self) -> None:
-        """λ becomes the present pressure, projected (L²) on linear functions over the gel's faces."""
-        moment = np.einsum("fq,qa->fa", (self.rest_weight * self.pressure.numpy()).reshape(-1, self.points), self._bary)
-        self.set_multiplier(self._projection.solve(np.bincount(self._corner.ravel(), moment.ravel(), len(self.vertices))))
+        """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the gel's faces."""
+        tractions = np.concatenate([self.pressure.numpy()[:, None], self.traction.numpy()], axis=1)
+        moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, 4), self._bary)
+        total = np.stack([np.bincount(self._corner.ravel(), moment[..., c].ravel(), len(self.vertices)) for c in range(4)], 1)
+        self.set_multipliers(self._projection.solve(total))
 
     def save(self) -> tuple[Array, Array, Array]:
         """Friction history and multipliers, to return to when a step is halved."""
-        return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy(), self.vertex_multiplier
+        return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy(), self.multipliers
 
     def restore(self, history: tuple[Array, Array, Array]) -> None:
         self.anchor_face.assign(history[0])
         self.anchor_xi.assign(history[1])
-        self.set_multiplier(history[2])
+        self.set_multipliers(history[2])
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (gel, object) that contact may couple: of faces closer than `margin` [mm], and of the object faces around those."""

@@ -33,7 +33,7 @@ MILLINEWTON = 1e-3  # N per solver force unit
 # k·h of the contact penalty over E of the softest body, and its smoothing. docs/validation.md shows what three times less or more changes.
 PENALTY_PER_MODULUS = 30.0
 PENALTY_SMOOTHING_MM = 5e-4
-STICK_SLIP_MM = 1e-3  # elastic slip of friction at a traction of a tenth of E
+STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
 AUGMENTATIONS = 1  # a step; the multipliers start from the last two steps' extrapolation, so one is enough
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 
@@ -103,7 +103,7 @@ class PressProblem:
         stiffness = PENALTY_PER_MODULUS * softest
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
-        self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, 0.1 * softest / STICK_SLIP_MM)
+        self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         self.contact = SurfaceContact(gel.groups["coated"], (object_faces + n).astype(np.int32), rest, self.law, device, contact_points)
         self.newton = Newton(self.solids, self.contact, NewtonOptions())
         self.copies = 2 ** len(gel.symmetry)
@@ -183,7 +183,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
             progress(len(record.approach), press.frames)
 
     newton.residual(1.0)  # first touch
-    contact.drag(newton.x)
+    contact.settle()
     keep(0.0, 0, 0)
     s, step, easy = 0.0, spacing, 0
     previous: tuple[float, tuple[Array, Array], Array] | None = None
@@ -204,7 +204,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
             nonlocal iterations, factorisations, status, message
             if previous is not None:
                 ratio = (new - s) / (s - previous[0])
-                contact.set_multiplier(history[2] + ratio * (history[2] - previous[2]))
+                contact.set_multipliers(history[2] + ratio * (history[2] - previous[2]))
             solids.set_state(_predict(problem, motion, s, start, previous, new, driven_rest, object_rest))
             reach = 1.0 + 2 * (new - s) * MM
             before = newton.factorisations
@@ -235,7 +235,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
         new = s + step_now
         if press.force_n is not None and force >= press.force_n:
             new, stopped = _stop_at_force(problem, attempt, (s, normal_force), (new, force), press.force_n), True
-        contact.drag(newton.x)
+        contact.settle()
         previous = (s, start, history[2])
         s, normal_force = new, force
         easy += 1
