@@ -11,7 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -216,7 +216,9 @@ def _clean_stdout(wanted: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
     os.dup2(2, 1)
     answers: list[dict[str, Any]] = []
     try:
-        yield answers.append
+        # Descriptor 1 for compiled libraries, sys.stdout for Python ones.
+        with redirect_stdout(sys.stderr):
+            yield answers.append
     finally:
         sys.stdout.flush()
         os.dup2(kept, 1)
