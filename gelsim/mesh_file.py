@@ -23,6 +23,8 @@ _EXTENT = (0.5e-3, 100e-3)
 _THIN_ABOVE = 20_000
 _THIN_TOLERANCE = 5e-6
 """A finer mesh is thinned as long as its surface moves less than this [m]: a quarter of the overlap that a press may show."""
+
+
 @lru_cache(maxsize=8)
 def read_surface(path: str, unit: str) -> tuple[TriMesh, dict[str, object]]:
     """The watertight surface in a file, outward, lowest point at the origin, and what was done to it.

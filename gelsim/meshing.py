@@ -307,7 +307,10 @@ def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretc
         (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
         mesh = _fill(surface, shape, field, stretch, label)
         _check(mesh, label)
-        _write(path, mesh)
+        try:
+            _write(path, mesh)
+        except OSError as error:  # a full or read-only cache costs time, not the result
+            (progress or _say)(f"the mesh of {label} is not kept: {path.parent} cannot be written ({error.strerror})")
     return mesh
 
 

@@ -29,6 +29,7 @@ Sizes = Callable[[Array], Array]
 HULL_STEP = np.radians(15.0)
 """Angle between the points of an arc that the convex hull starts from."""
 
+
 @dataclass(frozen=True)
 class Plane:
     """The plane normal · p = offset, the solid below it."""

@@ -128,11 +128,12 @@ def test_edges_follow_the_size_field() -> None:
     reach = np.linalg.norm(edges.mean(axis=1)[:, :2], axis=1)
     area, sizes = footprint(given), SIZES["fast"]
     contact = area.high[0] / sizes.divisions
-    # fTetWild splits above 4 / 3 and merges below 4 / 5 of what is asked; single edges may miss that, so the medians are compared. Far away
-    # the gel's own 2.4 mm bound the edges across it.
-    near, far = np.median(length[reach < 1.2e-3]), np.median(length[reach > 10e-3])
-    assert 0.5 * contact < near < 4 / 3 * contact
-    assert 2 * near < far < 4 / 3 * sizes.gel_far
+    # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but leaves one where that would spoil a tet: one halving more or
+    # less is allowed for the median. Far away the gel's own 2.4 mm bound the edges across it.
+    box = (reach < area.high[0]) & (edges[:, :, 2].mean(axis=1) > -1.2e-3)
+    near, far = np.median(length[box]), np.median(length[reach > 10e-3])
+    assert 0.5 * contact < near < 2 * contact
+    assert 1.7 * near < far < 4 / 3 * sizes.gel_far
 
 
 def test_long_tets_under_a_cylinder() -> None:
@@ -182,6 +183,14 @@ def test_cache_returns_the_same_mesh_and_mends_itself(cache: Path) -> None:
         assert len(told) == 1 and "object" in told[0]
         assert_whole(mended)
     assert not list(Path.cwd().glob("__tracked_surface*"))  # what fTetWild leaves in its working folder
+
+
+def test_a_cache_that_cannot_be_written_is_said_and_survived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "file"))
+    told: list[str] = []
+    assert_whole(mesh_object(scene("hemisphere"), frozenset("xy"), told.append))
+    assert "not kept" in told[-1]
 
 
 def test_a_change_of_stiffness_or_pose_needs_no_new_mesh() -> None:
