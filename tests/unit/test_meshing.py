@@ -128,7 +128,7 @@ def test_edges_follow_the_size_field() -> None:
     reach = np.linalg.norm(edges.mean(axis=1)[:, :2], axis=1)
     area, sizes = footprint(given), SIZES["fast"]
     contact = area.high[0] / sizes.divisions
-    # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but leaves one where that would spoil a tet: one halving more or
+    # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but not where that spoils a tet: one halving more or
     # less is allowed for the median. Far away the gel's own 2.4 mm bound the edges across it.
     box = (reach < area.high[0]) & (edges[:, :, 2].mean(axis=1) > -1.2e-3)
     near, far = np.median(length[box]), np.median(length[reach > 10e-3])
