@@ -14,8 +14,8 @@ Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ 
 
 Friction is Coulomb's, in the same way (Simo and Laursen 1992): with e the tangential slip of a point since the last load step (against the place on the
 object that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. p in μp is that
-of the current iterate in the residual and constant in the tangent, which keeps the matrix symmetric and costs an iteration or two. Far from
-equilibrium the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
+of the current iterate in the residual; the assembled tangent holds p constant there, which keeps it symmetric, and `slip_coupling` is the
+unsymmetric rest, of low rank. Far from equilibrium the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
 
 A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, and the object's points against the gel's faces (the
 gel carries the finer mesh, and `penetration` is what shows if that fails).
@@ -441,13 +441,16 @@ class SurfaceContact:
     def _stencil(self) -> list[object]:
         return [self.slave, self.shape, self.points]
 
-    def update(self, x: wp.array, reach: float) -> None:
-        """Closest points and gaps of all quadrature points within `reach` [mm] for positions x."""
+    def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
+        """Closest points and gaps of all quadrature points within `reach` [mm] for positions x.
+
+        `freeze` keeps every near point on the (extended) face it has: on both sides of a sharp edge points could change flank for ever.
+        """
         self.mesh.points.assign(x.numpy()[self.used].astype(np.float32))
         self.mesh.refit()
         wp.launch(
             closest_points, len(self.rest_weight),
-            [x, *self._stencil(), self.mesh.id, self.master, self.corners, reach, OVERHANG, self.face, self.xi, self.normal, self.gap],
+            [x, *self._stencil(), self.mesh.id, self.master, self.corners, reach, 1e3 if freeze else OVERHANG, self.face, self.xi, self.normal, self.gap],
             device=self.device,
         )  # fmt: skip
 
@@ -489,6 +492,41 @@ class SurfaceContact:
                 device=self.device,
             )  # fmt: skip
         return int(self.missing.numpy()[0]) == 0
+
+    def slip_coupling(self, equation: NDArray[np.int32], unknowns: int) -> tuple[sp.csr_matrix, sp.csr_matrix] | None:
+        """The part of the tangent by which pressure drives slipping friction, ∂(μp)/∂u, as factors (B_t, B_n) of B_tᵀ B_n.
+
+        None where no point slips. Uses the state of the last `add_force`.
+        """
+        law = self.law
+        if law.friction <= 0.0:
+            return None
+        pressure, traction = self.pressure.numpy(), self.traction.numpy()
+        size = np.linalg.norm(traction, axis=1)
+        slipping = np.flatnonzero((pressure > 0) & (size > 0) & (size >= law.friction * pressure * (1 - 1e-9)))
+        if len(slipping) == 0:
+            return None
+        face, k = self.face.numpy()[slipping], self.stiffness.numpy()[slipping // self.points]
+        s = self.multiplier.numpy()[slipping] / k - self.gap.numpy()[slipping]
+        slope = k * np.clip(s / law.smoothing, 0.0, 1.0)
+        direction = -traction[slipping] / size[slipping, None]
+        normal = self.normal.numpy()[slipping]
+        gel = self.gel_faces[slipping // self.points]
+        shape = self.shape_values[slipping % self.points]
+
+        def rows(vector: Array, object_face: NDArray[np.int32], xi: Array) -> sp.csr_matrix:
+            nodes = np.concatenate([gel, self.object_faces[object_face]], axis=1)
+            weights = np.concatenate([shape, -tri6_shape(np.column_stack([1 - xi.sum(1), xi]))], axis=1)
+            columns = equation[nodes, :3]
+            values = weights[:, :, None] * vector[:, None, :]
+            free = columns >= 0
+            index = np.broadcast_to(np.arange(len(slipping))[:, None, None], columns.shape)
+            return sp.csr_matrix((values[free], (index[free], columns[free])), shape=(len(slipping), unknowns))
+
+        along = rows(direction, self.anchor_face.numpy()[slipping], self.anchor_xi.numpy()[slipping])
+        weight = self.rest_weight[slipping] * law.friction * slope
+        closing = rows(-normal * weight[:, None], face, self.xi.numpy()[slipping])
+        return along, closing
 
     def settle(self) -> None:
         """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points."""

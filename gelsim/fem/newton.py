@@ -1,8 +1,7 @@
 """Newton's method on the mixed equations of `Solids` with contact: residual, matrix, step, and why it stopped.
 
-One iteration finds the contact of the current positions, assembles, factorises and steps. A step is halved while it turns an element inside out or
-makes the residual explode; contact that switches makes the residual jump legitimately, so a plain growth is allowed. Converged means: forces balance
-to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry.
+One iteration finds the contact of the current positions, assembles, factorises and steps. Contact that opens and closes makes full steps cycle: a
+line search on the work of the unbalanced forces along the step cuts them where they overshoot. Converged means: forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry.
 """
 
 from __future__ import annotations
@@ -12,12 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids, SymmetricPattern, build_pattern, pair_keys
 from gelsim.fem.contact import SurfaceContact
 from gelsim.fem.linear import make_solver
 
+FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
+MAX_LINE_SEARCH = 8
+LINE_SEARCH_DROP = 0.8  # the slope along the step must shrink to this share
+SMALLEST_JACOBIAN = 0.05
 GEOMETRIC_BELOW = 0.5  # imbalance under which contact pressures are near enough to trust their geometric stiffness
 Array = NDArray[np.float64]
 
@@ -26,8 +30,6 @@ Array = NDArray[np.float64]
 class NewtonOptions:
     tolerance: float = 1e-5
     max_iterations: int = 20
-    growth: float = 1e3
-    """A residual that grows by more in one step is not accepted."""
 
 
 @dataclass
@@ -59,12 +61,15 @@ class Newton:
         self.solver = make_solver()
         self.pattern: SymmetricPattern | None = None
         self.factorisations = 0
+        self.solves = 0
+        self.displacement_unknown = np.zeros(solids.unknowns)
+        self.displacement_unknown[solids.equation[:, :3][solids.free[:, :3]]] = 1.0
 
-    def residual(self, reach: float) -> Residual:
+    def residual(self, reach: float, freeze: bool = False) -> Residual:
         """Equations at the solids' present displacement and pressure."""
         solids = self.solids
         x = solids.positions()
-        self.contact.update(x, reach)
+        self.contact.update(x, reach, freeze)
         contact_force = wp.zeros(solids.node_count, dtype=wp.vec3d, device=solids.device)
         self.contact.add_force(x, contact_force)
         internal, volume, min_jacobian = solids.internal_force()
@@ -95,6 +100,58 @@ class Newton:
             self.solver.analyse(self.pattern.indptr, self.pattern.indices, np.zeros(len(self.pattern.indices)))
         raise AssertionError("the pattern made from the present contact does not hold it")
 
+    def _step(self, residual: Residual, near: bool) -> Array:
+        """Newton's step. The unsymmetric rest of the tangent, B_tᵀ B_n, is added by GMRES on (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b: a few solves."""
+        step = self.solver.solve(-residual.equations)
+        self.solves += 1
+        coupling = self.contact.slip_coupling(self.solids.equation, self.solids.unknowns) if near else None
+        if coupling is None:
+            return step
+        along, closing = coupling
+
+        def apply(x: Array) -> Array:
+            self.solves += 1
+            return x + self.solver.solve(along.T @ (closing @ x))
+
+        operator = LinearOperator((len(step), len(step)), matvec=apply)
+        # an inexact answer is a step as well: Newton corrects it
+        answer, _ = gmres(operator, step, x0=step, rtol=1e-3, restart=12, maxiter=1)
+        return answer
+
+    def _line_search(self, step: Array, residual: Residual, reach: float, freeze: bool) -> tuple[Residual | None, float]:
+        """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the full step, or a root by regula falsi.
+
+        The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are far
+        from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end.
+        """
+        start = self.solids.state()
+        moving = step * self.displacement_unknown
+        slope = float(residual.equations @ moving)
+        low, low_slope, high, high_slope = 0.0, slope, None, 0.0
+        fraction = 1.0
+        for _ in range(MAX_LINE_SEARCH):
+            self.solids.move(start, step, fraction)
+            trial = self.residual(reach, freeze)
+            if trial.min_jacobian <= SMALLEST_JACOBIAN or not np.isfinite(trial.equations).all():
+                high, high_slope, fraction = None, 0.0, low + 0.5 * (fraction - low)
+                continue
+            now = float(trial.equations @ moving)
+            if slope >= 0 or abs(now) <= LINE_SEARCH_DROP * abs(slope) or (now < 0 and fraction == 1.0):
+                return trial, fraction
+            if now < 0:
+                low, low_slope = fraction, now
+                high_slope *= 0.5  # Illinois: an end that stays loses weight
+            else:
+                high, high_slope = fraction, now
+                low_slope *= 0.5 if low > 0 else 1.0
+            if high is None:
+                return trial, fraction
+            fraction = low + (high - low) * min(max(low_slope / (low_slope - high_slope), 0.05), 0.95)
+        if trial.min_jacobian <= SMALLEST_JACOBIAN or not np.isfinite(trial.equations).all():
+            self.solids.set_state(start)
+            return None, 0.0
+        return trial, fraction
+
     def solve(self, reach: float) -> NewtonReport:
         """Iterates from the solids' present state, in place. `reach` [mm] bounds the search for contact."""
         options, solids = self.options, self.solids
@@ -107,25 +164,15 @@ class Newton:
                 return NewtonReport(SolveStatus.CONVERGED, iteration, size, residual.min_jacobian)
             if iteration == options.max_iterations:
                 break
-            values = self._matrix(residual.imbalance < GEOMETRIC_BELOW)
+            near = residual.imbalance < GEOMETRIC_BELOW
+            values = self._matrix(near)
             self.solver.factorise(values)
             self.factorisations += 1
-            step = self.solver.solve(-residual.equations)
+            step = self._step(residual, near)
             if not np.isfinite(step).all():
                 return NewtonReport(SolveStatus.NONFINITE, iteration, size, residual.min_jacobian)
-            start = solids.state()
-            norm = np.linalg.norm(residual.equations)
-            fraction = 1.0
-            while True:
-                solids.move(start, step, fraction)
-                trial = self.residual(reach)
-                inverted = trial.min_jacobian <= 0.05
-                if not inverted and np.linalg.norm(trial.equations) <= options.growth * norm:
-                    break
-                fraction *= 0.5
-                if fraction < 1 / 64:
-                    solids.set_state(start)
-                    status = SolveStatus.INVERTED_ELEMENT if inverted else SolveStatus.LINE_SEARCH_STALLED
-                    return NewtonReport(status, iteration + 1, size, residual.min_jacobian)
+            trial, fraction = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)
+            if trial is None:
+                return NewtonReport(SolveStatus.INVERTED_ELEMENT, iteration + 1, size, residual.min_jacobian)
             residual = trial
         return NewtonReport(SolveStatus.MAX_ITERATIONS, options.max_iterations, size, residual.min_jacobian)
