@@ -1,8 +1,8 @@
 """Where the black markers sit on the coating at rest, and their outlines. Plain NumPy, SI.
 
 A square grid through the gel's centre, turned by `tilt_deg`; place, size and outline of each marker are then disturbed, because they are
-made by hand. The outline in polar form about the marker's centre: r(φ) = r₀ (1 + Σ_{k=2..4} a_k cos(kφ − φ_k)), a_k normal with a total variance of
-`outline_jitter`². Both the membrane (markers move with the material) and the coating (markers are painted on it) need this, and
+made by hand. The outline in polar form about the marker's centre: r(φ) = r₀ (1 + Σ_{k=2..4} a_k cos(kφ − φ_k)), a_k normal with a total
+variance of `outline_jitter`². Both the membrane (markers move with the material) and the coating (markers are painted on it) need this, and
 they do not know each other, so it lies below both. Left out: doubled and missing markers.
 """
 
@@ -45,7 +45,8 @@ def marker_layout(scene: Scene) -> MarkerLayout:
         raise SceneError(f"markers.layout is {markers.layout!r}; allowed are 'grid' and 'none'")
     if not 0 < 2 * markers.radius_mm < markers.pitch_mm:
         raise SceneError(
-            f"markers.radius_mm is {markers.radius_mm} mm and markers.pitch_mm {markers.pitch_mm} mm; a radius must be positive and less than half the pitch"
+            f"markers.radius_mm is {markers.radius_mm} mm and markers.pitch_mm {markers.pitch_mm} mm; "
+            "a radius must be positive and less than half the pitch"
         )
     half_size = np.array(scene.gel.size_mm) / 2
     reach = int(np.ceil(np.hypot(*half_size) / markers.pitch_mm))

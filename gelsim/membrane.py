@@ -1,14 +1,14 @@
 """From the finite-element surface of the gel to the coated surface that is drawn: fine, with smooth normals.
 
-Finite elements give a surface that is continuous but kinked at element edges; under grazing light every facet would show. So the displacement
-u(x, y), known at the nodes as a function of the rest place, is interpolated with continuous first derivatives (Clough-Tocher cubics on a
-Delaunay triangulation, the gradients at the nodes chosen to minimise curvature: Nielson 1983, as in scipy) on a regular material grid, and
-added to the gel's analytic rest height h(x, y):
+Finite elements give a surface that is continuous but kinked at element edges; under grazing light every facet would show. So the
+displacement u(x, y), known at the nodes as a function of the rest place, is interpolated with continuous first derivatives (Clough-Tocher
+cubics on a Delaunay triangulation, the gradients at the nodes chosen to minimise curvature: Nielson 1983, as in scipy) on a regular
+material grid, and added to the gel's analytic rest height h(x, y):
 
     X(x, y) = (x, y, h(x, y)) + u(x, y),    normal = ∂X/∂x × ∂X/∂y, normalised (central differences on the grid).
 
-Left out: what the finite elements know of u between their nodes beyond the nodal values (they are quadratic there, so the difference is of third order
-in the node spacing; a test measures it), the coat's own thickness, and folds sharper than the grid.
+Left out: what the finite elements know of u between their nodes beyond the nodal values (they are quadratic there, so the difference is of
+third order in the node spacing; a test measures it), the coat's own thickness, and folds sharper than the grid.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def membrane_states(scene: Scene, deformation: Deformation) -> list[Membrane]:
         N membranes on the same material grid; where nothing moves they equal `rest_membrane(scene)` exactly.
     """
     from scipy.interpolate import CloughTocher2DInterpolator
-    from scipy.spatial import Delaunay, cKDTree
+    from scipy.spatial import Delaunay, KDTree
 
     grid, faces, columns = _material_grid(scene)
     centres = marker_layout(scene).centres
@@ -59,7 +59,7 @@ def membrane_states(scene: Scene, deformation: Deformation) -> list[Membrane]:
     # The grid's rim may lie outside the triangulation by a rounding error: there the nearest node's displacement holds.
     outside = np.flatnonzero(np.isnan(displacement[:, 0]))
     if len(outside):
-        _, nearest = cKDTree(nodes).query(places[outside])
+        _, nearest = KDTree(nodes).query(places[outside])
         displacement[outside] = values[nearest]
     displacement = displacement.reshape(len(places), states, 3)
     return [_assemble(scene, grid, faces, columns, centres, displacement[:, n]) for n in range(states)]
@@ -69,11 +69,12 @@ def _material_grid(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.int32]
     """Rest x, y of the grid's vertices [m] (row by row, M x 2), its triangles (F x 3, normals +z), and the vertices in a row."""
     width, height = np.array(scene.gel.size_mm) * 1e-3
     columns, rows = (int(np.ceil(side / GRID_SPACING)) + 1 for side in (width, height))
-    x, y = np.meshgrid(np.linspace(-width / 2, width / 2, columns), np.linspace(-height / 2, height / 2, rows))
+    along_x, along_y = np.linspace(-width / 2, width / 2, columns), np.linspace(-height / 2, height / 2, rows)
+    grid = np.stack([np.tile(along_x, rows), np.repeat(along_y, columns)], axis=1)
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     right, down, across = corner + 1, corner + columns, corner + columns + 1
     faces = np.concatenate([np.stack([corner, right, across], 1), np.stack([corner, across, down], 1)])
-    return np.stack([x.ravel(), y.ravel()], axis=1), faces.astype(np.int32), columns
+    return grid, faces.astype(np.int32), columns
 
 
 def _assemble(
@@ -90,8 +91,9 @@ def _assemble(
     positions = moved[: len(grid)]
     surface = positions.reshape(-1, columns, 3)
     # Derivatives by grid index: their cross product has the normal's direction whatever the spacing.
-    along_y, along_x = np.gradient(surface, axis=(0, 1), edge_order=2)
-    normals = np.cross(along_x, along_y).reshape(-1, 3)
+    along_row = np.gradient(surface, axis=1, edge_order=2)
+    along_column = np.gradient(surface, axis=0, edge_order=2)
+    normals = np.cross(along_row, along_column).reshape(-1, 3)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     uv = grid / (np.array(scene.gel.size_mm) * 1e-3) + 0.5
     return Membrane(positions, normals, uv, faces, moved[len(grid) :])

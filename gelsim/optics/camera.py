@@ -1,13 +1,13 @@
 """The sensor's camera: which pixel sees which point. Plain NumPy.
 
-A pinhole in air looks along +z through the window and the gel. Refraction at the two flat faces is folded into one pinhole inside the gel, at
-its apparent distance: for rays near the axis (tan = sin) a path of length t in a medium of index n appears, from within a medium of index n_g, as
-t n_g / n. With air A, window t_w and gel h between pinhole and the rest surface,
+A pinhole in air looks along +z through the window and the gel. Refraction at the two flat faces is folded into one pinhole inside the gel,
+at its apparent distance: for rays near the axis (tan = sin) a path of length t in a medium of index n appears, from within a medium of
+index n_g, as t n_g / n. With air A, window t_w and gel h between pinhole and the rest surface,
 
     D = A n_g + t_w n_g / n_w + h,      column = W/2 + x D / ((D + z) p),   row = H/2 + y D / ((D + z) p),
 
-p the size of a pixel on the plane z = 0. Left out: what is beyond the axis' neighbourhood (a distortion below 1 % of the half field, docs/optics.md says
-how much), lens distortion, vignetting and depth of field.
+p the size of a pixel on the plane z = 0. Left out: what is beyond the axis' neighbourhood (a distortion below 1 % of the half field,
+docs/optics.md says how much), lens distortion, vignetting and depth of field.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     f = (1 − m) [ (1 − s) g ρ / π  +  s g f_flake ]  +  m ρ_m / π
 
-ρ the pigment's albedo, s the flakes' share, f_flake a GGX microfacet conductor of constant reflectance and width α (Walter et al. 2007), m the share of
-a texel that markers cover, ρ_m their albedo, and g the coat's fixed grain (mean 1). Left out: layering and the flakes' own sparkle, the
-coat's translucency (it is opaque), and polarisation.
+ρ the pigment's albedo, s the flakes' share, f_flake a GGX microfacet conductor of constant reflectance and width α (Walter et al. 2007), m
+the share of a texel that markers cover, ρ_m their albedo, and g the coat's fixed grain (mean 1). Left out: layering and the flakes' own
+sparkle, the coat's translucency (it is opaque), and polarisation.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     level = 255 · sRGB( exposure · gain_c · L_c ),     sRGB after IEC 61966-2-1,
 
-plus normal noise of `camera.noise_sd` levels, clipped and rounded. The exposure is the preset's, never automatic, so that frames and presses can be
-compared. Left out: vignetting, Bayer mosaic, compression, crosstalk between the colours.
+plus normal noise of `camera.noise_sd` levels, clipped and rounded. The exposure is the preset's, never automatic, so that frames and
+presses can be compared. Left out: vignetting, Bayer mosaic, compression, crosstalk between the colours.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """The sensor's coloured emitters. Pure data.
 
-Each light is a Lambertian rectangle of flux Φ (per colour channel), so its radiance is L = Φ / (π A). It stands inside the window, on the gel's side
-of the window's face to the air: no refracting face lies between light and membrane, so every point of the membrane can be connected to the light directly
-(next-event estimation). The window's and the gel's indices are close (1.49 and 1.41: 0.08 % reflected at normal incidence), and a light's
-place is that of its image seen from the gel. Left out: light that the window's outer face and the housing reflect back (docs/optics.md).
+Each light is a Lambertian rectangle of flux Φ (per colour channel), so its radiance is L = Φ / (π A). It stands inside the window, on the
+gel's side of the window's face to the air: no refracting face lies between light and membrane, so every point of the membrane can be
+connected to the light directly (next-event estimation). The window's and the gel's indices are close (1.49 and 1.41: 0.08 % reflected at
+normal incidence), and a light's place is that of its image seen from the gel. Left out: light that the window's outer face and the housing
+reflect back (docs/optics.md).
 """
 
 from __future__ import annotations

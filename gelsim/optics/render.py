@@ -1,9 +1,9 @@
 """Membranes to pictures by path tracing (Mitsuba 3: Jakob et al. 2022).
 
-Per pixel the mean over `render.spp` paths of the light that reaches the camera: L = ∫ f(ω, ω') L_i(ω') cos θ dω' at the membrane, its direct part by
-sampling points on the lights, its indirect part by sampling the coating. The random numbers are the same for every frame of one scene: a membrane
-that did not move gives the same pixels bit by bit, and a video does not flicker. Left out: see `optics.camera` (refraction of camera
-rays), `optics.lighting` (the window's outer face), `optics.coating`.
+Per pixel the mean over `render.spp` paths of the light that reaches the camera: L = ∫ f(ω, ω') L_i(ω') cos θ dω' at the membrane, its
+direct part by sampling points on the lights, its indirect part by sampling the coating. The random numbers are the same for every frame of
+one scene: a membrane that did not move gives the same pixels bit by bit, and a video does not flicker. Left out: see `optics.camera`
+(refraction of camera rays), `optics.lighting` (the window's outer face), `optics.coating`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gelsim.optics.camera import height_map, marker_pixels
 from gelsim.optics.isp import develop
-from gelsim.optics.scene_dict import mesh_arrays, scene_dict
+from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
 from gelsim.optics.variant import VariantChoice, choose_variant, use_variant
 from gelsim.results import Frame, Membrane
 from gelsim.scene import Scene
@@ -55,12 +55,11 @@ class Renderer:
 
     def __init__(self, scene: Scene, variant: VariantChoice) -> None:
         self._seed = scene.seed
-        self._spp = scene.render.spp
+        self._spp = path_count(scene)
         self._mitsuba = use_variant(variant)
-        self._parts = _native(self._mitsuba, scene_dict(scene))
+        self._parts = {name: _native(self._mitsuba, part) for name, part in scene_dict(scene).items()}
         self._coating = self._mitsuba.load_dict(self._parts.pop("coating"))
         self._scene = None
-        self._parameters = None
 
     def radiance(self, membrane: Membrane, seed: int | None = None) -> NDArray[np.float32]:
         """Linear RGB of the membrane, shape (H, W, 3); `seed` other than the scene's gives an independent estimate."""

@@ -6,6 +6,8 @@ shadows a tenth of a millimetre off. 4 × 4 arrays are transforms, 3-D arrays ar
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from gelsim.errors import SceneError
@@ -44,6 +46,19 @@ def scene_dict(scene: Scene) -> dict:
     }
 
 
+def path_count(scene: Scene) -> int:
+    """Light paths a pixel: render.spp, rounded up until the sampler can lay them out as a grid and every light gets the same number.
+
+    Without the latter the choice among the lights is not evenly stratified: 35 paths for 4 lights are noisier than 16.
+    """
+    count, lights = scene.render.spp, max(len(scene.lights.lights), 1)
+    while True:
+        rows = math.isqrt(count)
+        if count % rows == 0 and count % lights == 0:
+            return count
+        count += 1
+
+
 def camera_dict(scene: Scene) -> dict:
     """The pinhole of `optics.camera`; its own x axis points left in the picture, and up is -y."""
     width, height = scene.render.resolution
@@ -67,7 +82,7 @@ def camera_dict(scene: Scene) -> dict:
             "rfilter": {"type": "box"},
         },
         # Correlated multi-jittered (Kensler 2013): also the choice among the lights is stratified, which removes colour noise.
-        "sampler": {"type": "multijitter", "sample_count": scene.render.spp},
+        "sampler": {"type": "multijitter", "sample_count": path_count(scene)},
     }
 
 

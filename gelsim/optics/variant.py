@@ -1,8 +1,8 @@
 """Which Mitsuba variant this machine can run, found out without risk. The only place that selects one.
 
-CUDA if it works, else LLVM, else scalar. Some builds of libLLVM end the whole process instead of raising an error (Debian's 14 and 15 do), and a
-GPU's driver may lack OptiX: so each candidate renders a small picture in a child process first. The child's verdict is kept in the cache folder,
-under a key that changes with the library, Mitsuba and Dr.Jit.
+CUDA if it works, else LLVM, else scalar. Some builds of libLLVM end the whole process instead of raising an error (Debian's 14 and 15 do),
+and a GPU's driver may lack OptiX: so each candidate renders a small picture in a child process first. The child's verdict is kept in the
+cache folder, under a key that changes with the library, Mitsuba and Dr.Jit.
 """
 
 from __future__ import annotations
@@ -141,7 +141,8 @@ def _try_variant(variant: str, library: str | None) -> str | None:
     if library:
         environment["DRJIT_LIBLLVM_PATH"] = library
     try:
-        child = subprocess.run([sys.executable, "-c", TRIAL, variant], env=environment, capture_output=True, text=True, timeout=TRIAL_SECONDS)
+        command = [sys.executable, "-c", TRIAL, variant]
+        child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=TRIAL_SECONDS)
     except subprocess.TimeoutExpired:
         return f"drew nothing within {TRIAL_SECONDS} s"
     if child.returncode == 0 and "drawn" in child.stdout:

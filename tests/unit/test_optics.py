@@ -1,0 +1,200 @@
+"""Camera, markers, height map, tone curve and the choice of a variant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelsim.errors import RenderError, SceneError
+from gelsim.markers import marker_layout
+from gelsim.membrane import GRID_SPACING, rest_membrane
+from gelsim.optics import VariantChoice, choose_variant, height_map, project, variant
+from gelsim.optics.camera import apparent_distance, marker_pixels
+from gelsim.optics.coating import marker_coverage
+from gelsim.optics.isp import develop, srgb_tone
+from gelsim.optics.render import Renderer
+from gelsim.optics.scene_dict import path_count, scene_dict
+from gelsim.results import Membrane
+from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+
+
+def small_scene() -> Scene:
+    """Four lights, a small flat gel at the default 26 pixels a millimetre, disturbed markers: no symmetry hides a flip."""
+    corners = ((20.0, 0.0), (-20.0, 0.0), (0.0, 20.0), (0.0, -20.0))
+    lights = tuple(Light(f"light {x:g} {y:g}", (x, y, -10.0), (-x, -y, 10.0), (10.0, 2.0), power=50.0) for x, y in corners)
+    return Scene(
+        gel=Gel(profile="flat", size_mm=(8.0, 8.0)),
+        camera=Camera(field_mm=(6.0, 4.5)),
+        lights=Lights(lights),
+        coating=Coating(specular=0.0),
+        markers=Markers(radius_mm=0.12, jitter_mm=0.1, tilt_deg=5.0, seed=3),
+        render=Render("direct", 16, (160, 120)),
+    )
+
+
+def moved(scene: Scene) -> Membrane:
+    """A dent of 0.2 mm that also drags the material sideways by up to 0.15 mm."""
+    rest = rest_membrane(scene)
+
+    def shift(points):
+        bell = np.exp(-(points[:, 0] ** 2 + points[:, 1] ** 2) / (2 * (1e-3) ** 2))[:, None]
+        return points + bell * np.array([0.15e-3, -0.1e-3, -0.2e-3])
+
+    positions = shift(rest.positions)
+    side = int(np.ceil(8e-3 / GRID_SPACING)) + 1
+    along_y, along_x = np.gradient(positions.reshape(side, side, 3), axis=(0, 1))
+    normals = np.cross(along_x, along_y).reshape(-1, 3)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Membrane(positions, normals, rest.uv, rest.faces, shift(rest.marker_centres))
+
+
+def centroid_errors(scene: Scene, membrane: Membrane, marked: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """Distance [px] of each wholly visible marker's centroid from its projection; inf where there is no marker.
+
+    `plain` is the same picture drawn without markers.
+    """
+    covered = 1 - (marked / plain).mean(axis=2)
+    rows, columns = np.mgrid[: covered.shape[0], : covered.shape[1]] + 0.5
+    errors = []
+    for column, row in project(scene, membrane.marker_centres):
+        if not (10 < column < covered.shape[1] - 10 and 10 < row < covered.shape[0] - 10):
+            continue
+        near = np.hypot(columns - column, rows - row) < 9
+        weights = covered[near]
+        # A marker of 0.12 mm covers π 3.2² = 32 pixels.
+        if weights.sum() < 16:
+            errors.append(np.inf)
+        else:
+            errors.append(np.hypot(weights @ columns[near] / weights.sum() - column, weights @ rows[near] / weights.sum() - row))
+    return np.array(errors)
+
+
+def test_projection_by_hand():
+    scene = Scene(gel=Gel(profile="flat"), render=Render(resolution=(480, 360)))
+    pixels = project(scene, [[0, 0, 0], [9.2e-3, 6.9e-3, 0], [1e-3, 0, 0], [0, 1e-3, 0]])
+    # The field's corner is the picture's corner; x runs right and y down.
+    assert pixels == pytest.approx(np.array([[240, 180], [480, 360], [240 + 480 / 18.4, 180], [240, 180 + 360 / 13.8]]), abs=1e-9)
+    # Pushed 1 mm toward the camera a point looks larger by D/(D - 1 mm).
+    distance = apparent_distance(scene)
+    assert project(scene, [[1e-3, 0, -1e-3]])[0, 0] - 240 == pytest.approx(480 / 18.4 * distance / (distance - 1e-3), rel=1e-12)
+
+
+def test_pinhole_inside_the_gel_is_refused():
+    with pytest.raises(SceneError, match="distance_mm"):
+        apparent_distance(Scene(camera=Camera(distance_mm=5.0)))
+
+
+def test_markers_are_drawn_where_projection_says():
+    scene = small_scene()
+    membrane = moved(scene)
+    plain_scene = scene.replace(markers=replace(scene.markers, layout="none"))
+    marked = Renderer(scene, variant.SCALAR).radiance(membrane)
+    plain = Renderer(plain_scene, variant.SCALAR).radiance(membrane)
+    errors = centroid_errors(scene, membrane, marked, plain)
+    assert len(errors) >= 6
+    # Demanded: 0.1 px. Expected: same random numbers in both pictures, so what remains is the edge's sampling, 20 edge pixels with a
+    # coverage error of about 0.5/16 each at 3 px: sqrt(20) 0.03 * 3 / 32 = 0.01 px; and a disc's centroid is not its centre's image where
+    # the dent bends the mapping: r²/8 Δu + r²/4 grad div u = 0.12² (0.3/8 + 0.15/4) mm = 1 µm = 0.03 px. Undeformed, 0.2 mm markers are met
+    # within 0.007 px.
+    assert errors.max() < 0.1
+    # Planted: one marker painted over.
+    column, row = np.rint(project(scene, membrane.marker_centres)).astype(int).T
+    inside = np.flatnonzero((column > 10) & (column < 150) & (row > 10) & (row < 110))[0]
+    window = np.s_[row[inside] - 9 : row[inside] + 10, column[inside] - 9 : column[inside] + 10]
+    marked[window] = plain[window]
+    assert np.isinf(centroid_errors(scene, membrane, marked, plain)).sum() == 1
+    # Planted: the picture mirrored top to bottom.
+    assert centroid_errors(scene, membrane, marked[::-1], plain[::-1]).max() > 0.1
+
+
+def test_marker_coverage_has_the_discs_area():
+    scene = small_scene()
+    coverage = marker_coverage(scene)
+    texel = 8e-3 * 8e-3 / coverage.size
+    # Anti-aliasing by distance is exact for a straight edge; a disc of 10 texels' radius bends by 1/80 texel within a texel.
+    assert coverage.sum() * texel == pytest.approx(len(marker_layout(scene).centres) * np.pi * 0.12e-3**2, rel=2e-3)
+
+
+def test_marker_pixels_outside_the_picture_are_nan():
+    scene = small_scene()
+    pixels = marker_pixels(scene, rest_membrane(scene))
+    assert np.isnan(pixels).any() and np.nanmin(pixels) >= 0 and np.nanmax(pixels) < 160
+
+
+def test_height_map_sees_what_projects_there():
+    scene = small_scene()
+    membrane = moved(scene)
+    heights = height_map(scene, membrane)
+    assert heights.shape == (120, 160) and np.isfinite(heights).all()
+    # Each pixel's point on its ray, projected back, is the pixel's centre; and it lies on the surface (linear between vertices 0.08 mm
+    # apart: off by h²/8 times a curvature of 0.2 mm / (1 mm)² = 0.16 µm, doubled for the slope).
+    nearest = np.rint(project(scene, membrane.positions) - 0.5).astype(int)
+    inside = np.all((nearest >= 1) & (nearest < np.array([159, 119])), axis=1)
+    away = np.abs(project(scene, membrane.positions)[inside] - 0.5 - nearest[inside]).max(axis=1)
+    # A vertex within half a pixel differs by at most slope times that distance: 0.12 for the slope, 38 µm a pixel.
+    error = np.abs(heights[nearest[inside, 1], nearest[inside, 0]] - membrane.positions[inside, 2])
+    assert np.all(error <= 0.13 * 1.5 * away * 37.5e-6 + 0.4e-6)
+    # The vertex that is closest to the dent's bottom: 0.2 mm deep.
+    assert heights.min() == pytest.approx(-0.2e-3, abs=0.4e-6)
+
+
+def test_height_map_is_nan_beside_the_gel():
+    scene = small_scene().replace(camera=Camera(field_mm=(12.0, 9.0)))
+    heights = height_map(scene, rest_membrane(scene))
+    assert np.isnan(heights[60, 5]) and heights[60, 80] == 0
+
+
+def test_tone_curve_is_srgb():
+    # IEC 61966-2-1: the linear foot, the joint, and 18 % grey at 117.6 of 255.
+    assert srgb_tone(np.array([0.0, 0.001, 1.0, 7.0])) == pytest.approx([0, 0.01292, 1, 1], abs=1e-12)
+    assert 255 * srgb_tone(np.array([0.18]))[0] == pytest.approx(117.6, abs=0.1)
+
+
+def test_exposure_white_balance_and_noise():
+    scene = Scene(camera=Camera(exposure=2.0, white_balance=(1.0, 0.5, 1.0)))
+    flat = np.full((40, 50, 3), 0.09, np.float32)
+    picture = develop(scene, flat)
+    assert picture[0, 0].tolist() == [118, 85, 118]
+    noisy = scene.replace(camera=replace(scene.camera, noise_sd=(2.0, 0.0, 4.0)))
+    first = develop(noisy, flat, 1).astype(float)
+    assert np.array_equal(first, develop(noisy, flat, 1)) and not np.array_equal(first, develop(noisy, flat, 2))
+    # 2000 pixels: the standard deviation is known to 1/sqrt(4000) = 1.6 %; four times that, and rounding adds 1/12 to the variance.
+    assert first[..., 0].std() == pytest.approx(np.sqrt(4 + 1 / 12), rel=0.065) and first[..., 1].std() == 0
+
+
+def test_paths_suit_sampler_and_lights():
+    scene = small_scene()
+    assert [path_count(scene.replace(render=Render(spp=spp))) for spp in (1, 16, 32, 64)] == [4, 16, 36, 64]
+
+
+def test_scene_dict_refuses_what_cannot_be_lit():
+    with pytest.raises(SceneError, match="lights.lights is empty"):
+        scene_dict(Scene())
+    outside = Light("above", (0.0, 0.0, 3.0))
+    with pytest.raises(SceneError, match="above"):
+        scene_dict(Scene(lights=Lights((outside,))))
+
+
+def test_variant_of_this_machine_is_named_with_its_reason():
+    choice = choose_variant("cpu")
+    assert choice.name in ("llvm_ad_rgb", "scalar_rgb") and choice.reason
+    with pytest.raises(RenderError, match="device"):
+        choose_variant("tpu")
+
+
+def test_broken_llvm_is_found_out_in_a_child(tmp_path, monkeypatch):
+    """A library that cannot be loaded costs a child process, not this one; the verdict is remembered."""
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
+    fake = tmp_path / "libLLVM.so"
+    fake.write_bytes(b"not a library")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(fake))
+    choice = choose_variant("cpu")
+    assert choice.name == "scalar_rgb" and str(fake) in choice.reason
+    assert len(list((tmp_path / "cache").rglob("*.json"))) == 1
+    monkeypatch.setattr(variant.subprocess, "run", lambda *args, **options: pytest.fail("tried again"))
+    variant._choose.cache_clear()
+    assert choose_variant("cpu") == choice
+    assert isinstance(choice, VariantChoice)
+    variant._choose.cache_clear()
