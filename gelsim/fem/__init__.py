@@ -36,7 +36,7 @@ def solve_press(
     """
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     from gelsim.fem.quasistatic import PressProblem, run_press
 
     name = "cuda:0" if device == "cuda" else "cpu"
