@@ -1,0 +1,166 @@
+"""The mechanics written slowly: energies in clear float64 NumPy, as the specification of the Warp kernels. For tests and for doubt only.
+
+Only the potentials are written out,
+
+    Π(u, p) = ∫ Ŵ(Ī₁) + p (J - 1) - p²/(2κ) dV             (assembly.py, hyperelastic.py)
+    Φ(x)    = ∫ φ(λ/k - g(x)) dA                           (contact.py)
+
+with J = det F and g the signed distance to the closest point of a six-node face, and Coulomb's return mapping, which has no potential.
+Forces and tangents are their derivatives by the complex step, Im f(x + ih)/h with h = 1e-30: exact to rounding, as nothing is subtracted
+(Squire and Trapp 1998). So no derivative formula of the kernels is repeated here, and an error in one cannot hide in both. Every function
+takes complex arguments for that reason: a norm is the root of the sum of squares, and branches look at real parts.
+
+Left out: search for the face that a point belongs to (the caller says), and speed. Units are the solver's (mm, kPa, mN).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.fem.elements import tri6_gradient, tri6_shape
+
+Array = NDArray[np.float64]
+_STEP = 1e-30
+
+
+def derivative(function: Callable[[Array], Array], x: Array) -> Array:
+    """∂f/∂x by the complex step: shape of f(x), then shape of x."""
+    columns = []
+    for index in np.ndindex(x.shape):
+        moved = x.astype(complex)
+        moved[index] += 1j * _STEP
+        columns.append(np.asarray(function(moved)).imag / _STEP)
+    columns = np.array(columns)
+    return np.moveaxis(columns.reshape(*x.shape, *columns.shape[1:]), range(x.ndim), range(-x.ndim, 0))
+
+
+# ---------------------------------------------------------------------------------------------------------------- elements
+def isochoric_energy(f: Array, law: Array) -> Array:
+    """Ŵ(Ī₁) [kPa] = c₁(Ī₁ - 3) + c₂(Ī₁ - 3)² + c₃(Ī₁ - 3)³ of a deformation gradient (3, 3)."""
+    excess = np.linalg.det(f) ** (-2 / 3) * (f * f).sum() - 3
+    return law[0] * excess + law[1] * excess**2 + law[2] * excess**3
+
+
+def element_energy(u: Array, p: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float) -> complex:
+    """Π of one tet [µJ].
+
+    Args:
+        u: Displacements (10, 3) [mm]. p: pressures at the vertices (4,) [kPa].
+        gradients, weights, shape: (Q, 10, 3), (Q,) and (Q, 4) of `elements.TetQuadrature`.
+    """
+    total = 0j
+    for g, w, n in zip(gradients, weights, shape, strict=True):
+        f = np.eye(3) + u.T @ g
+        pressure = n @ p
+        total = total + w * (isochoric_energy(f, law) + pressure * (np.linalg.det(f) - 1) - pressure**2 / (2 * kappa))
+    return total
+
+
+def first_piola(f: Array, law: Array, pressure: Array) -> Array:
+    """∂/∂F of Ŵ(Ī₁) + p (J - 1) [kPa], (3, 3): the one derivative written out, so that forces can be differentiated once more."""
+    j = np.linalg.det(f)
+    inverse_transpose = np.linalg.inv(f).T
+    i1 = (f * f).sum()
+    excess = j ** (-2 / 3) * i1 - 3
+    slope = law[0] + 2 * law[1] * excess + 3 * law[2] * excess**2
+    return 2 * slope * j ** (-2 / 3) * (f - i1 / 3 * inverse_transpose) + pressure * j * inverse_transpose
+
+
+def element_residual(unknowns: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float) -> Array:
+    """∂Π/∂(u, p) of one tet, (34,): 10 nodal forces [mN] and 4 volumes [mm³] one after the other; `unknowns` (34,) likewise."""
+    u, p = unknowns[:30].reshape(10, 3), unknowns[30:]
+    force, volume = np.zeros((10, 3), unknowns.dtype), np.zeros(4, unknowns.dtype)
+    for g, w, n in zip(gradients, weights, shape, strict=True):
+        f = np.eye(3) + u.T @ g
+        pressure = n @ p
+        force = force + w * g @ first_piola(f, law, pressure).T
+        volume = volume + w * n * (np.linalg.det(f) - 1 - pressure / kappa)
+    return np.concatenate([force.ravel(), volume])
+
+
+def element_tangent(unknowns: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float) -> Array:
+    """∂²Π/∂(u, p)² of one tet, (34, 34)."""
+    return derivative(lambda v: element_residual(v, gradients, weights, shape, law, kappa), unknowns)
+
+
+def assemble(u: Array, p: Array, tets: NDArray[np.int32], gradients: Array, weights: Array, shape: Array, law: Array,
+             kappa: Array) -> tuple[float, Array, Array]:  # fmt: skip
+    """Energy, residual (N, 4) and dense tangent (N, 4, N, 4) of a mesh; component 3 of a node is its pressure."""
+    count = len(u)
+    energy, residual, tangent = 0.0, np.zeros(4 * count), np.zeros((4 * count, 4 * count))
+    for t, tet in enumerate(tets):
+        place = np.concatenate([(4 * tet[:, None] + np.arange(3)).ravel(), 4 * tet[:4] + 3])
+        unknowns = np.concatenate([u[tet].ravel(), p[tet[:4]]])
+        data = (gradients[t], weights[t], shape, law[t], float(kappa[t]))
+        energy += element_energy(u[tet], p[tet[:4]], *data).real
+        residual[place] += element_residual(unknowns, *data)
+        tangent[np.ix_(place, place)] += element_tangent(unknowns, *data)
+    return energy, residual.reshape(count, 4), tangent.reshape(count, 4, count, 4)
+
+
+# ---------------------------------------------------------------------------------------------------------------- contact
+def penalty_potential(s: Array, k: float, eps: float) -> Array:
+    """φ [kPa·mm]: 0 for s ≤ 0, k s³/(6ε) to ε, k (s²/2 - εs/2 + ε²/6) beyond; twice continuously differentiable."""
+    return np.where(s.real <= 0, 0.0, np.where(s.real < eps, k * s**3 / (6 * eps), k * (s**2 / 2 - eps * s / 2 + eps**2 / 6)))
+
+
+def penalty_pressure(s: Array, k: float, eps: float) -> Array:
+    """p = φ' [kPa]."""
+    return np.where(s.real <= 0, 0.0, np.where(s.real < eps, k * s**2 / (2 * eps), k * (s - eps / 2)))
+
+
+def face_point(nodes: Array, xi: Array) -> Array:
+    """y(ξ) (3,) on a six-node face (6, 3)."""
+    return tri6_shape(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])) @ nodes
+
+
+def face_normal(nodes: Array, xi: Array) -> Array:
+    """Unit normal (3,) of a six-node face at ξ, outward for outward faces."""
+    tangents = tri6_gradient(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])).T @ nodes
+    normal = np.cross(tangents[0], tangents[1])
+    return normal / np.sqrt((normal * normal).sum())
+
+
+def closest_point(x: Array, nodes: Array, xi: Array) -> Array:
+    """ξ (2,) where x - y(ξ) is normal to the (extended) face: Newton from `xi` with the whole second derivative."""
+    corner = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
+    gradients = tri6_gradient(corner)
+    # the second derivatives of the six shape functions are constant: differences of their (linear) gradients between the corners
+    second = np.stack([gradients[1] - gradients[0], gradients[2] - gradients[0]], axis=-1)
+    bend = np.einsum("aij,ac->ijc", second, nodes)
+    for _ in range(30):
+        tangents = tri6_gradient(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])).T @ nodes
+        off = x - face_point(nodes, xi)
+        step = np.linalg.solve(tangents @ tangents.T - bend @ off, tangents @ off)
+        xi = xi + step
+    return xi
+
+
+def gap_of(x: Array, nodes: Array, xi: Array) -> tuple[Array, Array, Array]:
+    """Gap g = n·(x - y) [mm], normal (3,) and foot ξ (2,) of a point x against a face, sought from `xi`."""
+    xi = closest_point(x, nodes, xi)
+    normal = face_normal(nodes, xi)
+    return normal @ (x - face_point(nodes, xi)), normal, xi
+
+
+def contact_potential(x: Array, nodes: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
+    """φ(λ/k - g) of one point x (3,) against one face (6, 3) [kPa·mm]; times the area it stands for, this is Φ."""
+    return penalty_potential(multiplier / k - gap_of(x, nodes, xi)[0], k, eps)
+
+
+def friction_traction(slip: Array, normal: Array, shift: Array, stiffness: float, friction: float, pressure: Array) -> Array:
+    """Traction [kPa] (3,) that the gel exerts on the object: λ_t + k_t e in the tangent plane, cut back to μp (μ < 0: never).
+
+    Args:
+        slip: e, what the point has moved against the place on the object that it touched when the load step began (3,) [mm].
+        shift: λ_t (3,).
+    """
+    trial = shift + stiffness * slip
+    trial = trial - normal * (normal @ trial)
+    size = np.sqrt((trial * trial).sum())
+    if friction >= 0 and size.real > friction * pressure.real:
+        trial = trial * (friction * pressure / size)
+    return trial

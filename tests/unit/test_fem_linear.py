@@ -1,0 +1,103 @@
+"""The matrix's layout against SciPy's assembly, and the two direct solvers against each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import warp as wp
+from fem_fixtures import MM, Array, box_mesh, solids_of, tangent_of
+
+from gelsim.fem.assembly import Solids, build_pattern, element_pairs, pair_keys
+from gelsim.fem.linear import PardisoSolver, SuperLUSolver, find_mkl, make_solver
+from gelsim.fem.reference import element_tangent
+from gelsim.materials import ElasticMaterial
+
+EPS = np.finfo(float).eps
+
+
+def small_solids(nu: float = 0.4999, cells: int = 2) -> Solids:
+    """A block on three sliding planes, strained and with a pressure field."""
+    line = np.linspace(0, 1, cells + 1) * MM
+    mesh = box_mesh(line, line, line, "bottom", "top", "side", shake=0.2)
+    solids = solids_of(mesh, ElasticMaterial.from_modulus(50e3, nu), np.abs(mesh.rest_positions) < 1e-12)
+    rng = np.random.default_rng(2)
+    free = solids.free
+    u = np.where(free[:, :3], 0.02 * rng.uniform(-1, 1, solids.rest.shape) / cells, 0.0)
+    solids.set_state((u, np.where(free[:, 3], rng.uniform(-5, 5, len(u)), 0.0)))
+    return solids
+
+
+def test_assembly_equals_scipys() -> None:
+    solids = small_solids()
+    u, p = solids.state()
+    _, _, _, gradients, weights, shape, law, kappa = (array.numpy() for array in solids._inputs)
+    rows, columns, values = [], [], []
+    for t, tet in enumerate(solids.tets):
+        place = np.concatenate([(4 * tet[:, None] + np.arange(3)).ravel(), 4 * tet[:4] + 3])
+        unknowns = np.concatenate([u[tet].ravel(), p[tet[:4]]])
+        block = element_tangent(unknowns, gradients[t], weights[t], shape, law[t], float(kappa[t]))
+        rows.append(np.repeat(place, 34))
+        columns.append(np.tile(place, 34))
+        values.append(block.ravel())
+    count = 4 * len(u)
+    whole = sp.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(count, count))
+    kept = np.flatnonzero(solids.free.ravel())
+    wanted = whole[kept][:, kept].toarray()
+    assert (solids.free[:, :3].any(axis=1) & ~solids.free[:, :3].all(axis=1)).any(), "partly fixed nodes are the hard case"
+    # 30 ulps of the largest entry, as in tests/gradient/test_fem_twin.py, times up to 24 tets at a node: root of it
+    assert np.abs(tangent_of(solids).toarray() - wanted).max() <= 150 * EPS * np.abs(wanted).max()
+
+
+def test_pattern_is_the_upper_triangle_sorted() -> None:
+    rng = np.random.default_rng(4)
+    free = rng.random((12, 4)) < 0.6
+    free[3] = False  # a node without unknowns, like one of a rigid surface
+    a, b = rng.integers(0, 12, 30), rng.integers(0, 12, 30)
+    keys = np.unique(pair_keys(a[a != b].astype(np.int32), b[a != b].astype(np.int32), 12))
+    pattern = build_pattern(free, keys, "cpu")
+    nodes = np.zeros((12, 12), bool)
+    nodes[keys // 12, keys % 12] = True
+    nodes |= nodes.T | np.eye(12, dtype=bool)
+    owner = np.nonzero(free)[0]
+    wanted = sp.csr_matrix(np.triu(nodes[np.ix_(owner, owner)]))
+    wanted.sort_indices()
+    assert np.array_equal(pattern.indptr, wanted.indptr)
+    assert np.array_equal(pattern.indices, wanted.indices)
+    assert np.array_equal(pattern.equation[free], np.arange(free.sum()))
+
+
+def test_element_pairs_are_those_that_share_a_tet() -> None:
+    tets = np.array([[0, 1, 2, 3], [3, 2, 1, 4]], np.int32)
+    keys = element_pairs(tets, 5)
+    assert [(int(k) // 5, int(k) % 5) for k in keys] == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (1, 4), (2, 3), (2, 4), (3, 4)]
+
+
+def solved(solver: PardisoSolver | SuperLUSolver, solids: Solids, right: Array) -> Array:
+    pattern = build_pattern(solids.free, solids.keys, "cpu")
+    values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
+    solids.add_tangent(pattern.pairs, values)
+    solver.analyse(pattern.indptr, pattern.indices, np.zeros(len(pattern.indices)))
+    solver.factorise(values.numpy())
+    return solver.solve(right)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.499, 0.49999])
+def test_solvers_agree(nu: float) -> None:
+    solids = small_solids(nu)
+    right = np.random.default_rng(6).standard_normal(solids.unknowns)
+    matrix = tangent_of(solids)
+    answers = [solved(SuperLUSolver(), solids, right)]
+    if find_mkl() is not None:
+        answers.append(solved(PardisoSolver(threads=1), solids, right))
+    condition = np.linalg.cond(matrix.toarray())
+    for x in answers:
+        # a backward stable solution: the residual is a few roundings of |K| |x|, the error that times the condition (3e5 here)
+        assert np.linalg.norm(matrix @ x - right) <= 10 * EPS * (sp.linalg.norm(matrix) * np.linalg.norm(x))
+        assert np.linalg.norm(x - answers[0]) <= 20 * EPS * condition * np.linalg.norm(answers[0])
+    assert np.linalg.norm(answers[0]) > 0
+
+
+def test_a_solver_without_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gelsim.fem.linear.find_mkl", lambda: None)
+    assert isinstance(make_solver(), SuperLUSolver)
