@@ -131,7 +131,7 @@ def closest_point(x: Array, nodes: Array, xi: Array) -> Array:
     # the second derivatives of the six shape functions are constant: differences of their (linear) gradients between the corners
     second = np.stack([gradients[1] - gradients[0], gradients[2] - gradients[0]], axis=-1)
     bend = np.einsum("aij,ac->ijc", second, nodes)
-    for _ in range(30):
+    for _ in range(8):  # quadratic convergence: five from a start on the right face, and one more for the complex part
         tangents = tri6_gradient(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])).T @ nodes
         off = x - face_point(nodes, xi)
         step = np.linalg.solve(tangents @ tangents.T - bend @ off, tangents @ off)
@@ -146,9 +146,21 @@ def gap_of(x: Array, nodes: Array, xi: Array) -> tuple[Array, Array, Array]:
     return normal @ (x - face_point(nodes, xi)), normal, xi
 
 
-def contact_potential(x: Array, nodes: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
-    """φ(λ/k - g) of one point x (3,) against one face (6, 3) [kPa·mm]; times the area it stands for, this is Φ."""
-    return penalty_potential(multiplier / k - gap_of(x, nodes, xi)[0], k, eps)
+def contact_potential(nodes: Array, shape: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
+    """φ(λ/k - g) of one point [kPa·mm]; times the area it stands for, this is Φ.
+
+    Args:
+        nodes: Positions (12, 3) [mm]: the gel's six-node face, then the object's.
+        shape: The gel face's shape functions at the point (6,). xi: where to seek the closest point from.
+    """
+    return penalty_potential(multiplier / k - gap_of(shape @ nodes[:6], nodes[6:], xi)[0], k, eps)
+
+
+def contact_force(nodes: Array, shape: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
+    """∂φ/∂nodes (12, 3) [kPa]: the gap's gradient is n at the point and -n at its foot, as the foot lies along n."""
+    gap, normal, foot = gap_of(shape @ nodes[:6], nodes[6:], xi)
+    there = tri6_shape(np.array([1 - foot[0] - foot[1], foot[0], foot[1]]))
+    return np.outer(np.concatenate([-shape, there]), penalty_pressure(multiplier / k - gap, k, eps) * normal)
 
 
 def friction_traction(slip: Array, normal: Array, shift: Array, stiffness: float, friction: float, pressure: Array) -> Array:

@@ -71,7 +71,7 @@ def test_patch(mode: str, nu: float) -> None:
     wanted = solids.rest @ a.T
     equilibrium(solids, disturbed(wanted, boundary))
     u, p = solids.state()
-    # Newton stops when a step moves less than 1e-11 of the block: that, and the rounding of a system of condition ~ 1e6 (κ/μ · nodes a side²)
+    # Newton stops when a step moves less than 1e-11 of the block: that, and rounding at a condition of ~1e6 (κ/μ · nodes a side²)
     bound = 1e-11 + 1e6 * EPS
     assert np.abs(u - wanted).max() <= bound * np.abs(solids.rest).max()
     exact = material.kappa * 1e-3 * (np.linalg.det(np.eye(3) + a) - 1)
