@@ -209,8 +209,8 @@ class Markers:
 class Render:
     mode: str = "path"
     """"path": with inter-reflection | "direct": light that comes straight from the emitters."""
-    spp: int = 16
-    """Light paths a pixel."""
+    spp: int = 24
+    """Light paths a pixel, rounded up so that every light gets the same number."""
     resolution: tuple[int, int] = (480, 360)
 
 

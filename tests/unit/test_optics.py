@@ -10,7 +10,7 @@ import pytest
 from gelsim.errors import RenderError, SceneError
 from gelsim.markers import marker_layout
 from gelsim.membrane import GRID_SPACING, rest_membrane
-from gelsim.optics import VariantChoice, choose_variant, height_map, project, variant
+from gelsim.optics import VariantChoice, choose_variant, height_map, project, render_frames, variant
 from gelsim.optics.camera import apparent_distance, marker_pixels
 from gelsim.optics.coating import marker_coverage
 from gelsim.optics.isp import develop, srgb_tone
@@ -18,6 +18,7 @@ from gelsim.optics.render import Renderer
 from gelsim.optics.scene_dict import path_count, scene_dict
 from gelsim.results import Membrane
 from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene_file import build_scene
 
 
 def small_scene() -> Scene:
@@ -198,3 +199,14 @@ def test_broken_llvm_is_found_out_in_a_child(tmp_path, monkeypatch):
     assert choose_variant("cpu") == choice
     assert isinstance(choice, VariantChoice)
     variant._choose.cache_clear()
+
+
+@pytest.mark.parametrize("preset", ["fingertip2017", "gelsight_mini"])
+def test_presets_show_a_neutral_grey_without_contact(preset):
+    scene = build_scene({"sensor": {"preset": preset}, "render": {"resolution": [96, 72], "spp": 12}})
+    (frame,) = render_frames(scene, [rest_membrane(scene)], variant=variant.SCALAR)
+    # Median over 24 x 18 pixels: markers cover a twentieth and do not count; the noise of 12 paths is far below a level there.
+    centre = np.median(frame.image[27:45, 36:60], axis=(0, 1))
+    # Real frames: 95 to 125 of 255, nearly neutral in the middle, here within 10 levels.
+    assert centre.min() >= 95 and centre.max() <= 125 and np.ptp(centre) <= 10
+    assert np.isfinite(frame.height).all() and np.isfinite(frame.marker_pixels).any()
