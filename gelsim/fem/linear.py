@@ -1,10 +1,12 @@
 """Direct solution of the symmetric indefinite systems of Newton's method.
 
-The mixed displacement-pressure matrix [[A, Bᵀ], [B, -C]] is symmetric, indefinite and, with κ/μ up to 10⁵, badly scaled: an LDLᵀ
-factorisation with scaling, matching and Bunch-Kaufman pivots answers it in one go. Intel MKL's PARDISO does that on both cores; where MKL is
-not to be had (not x86), SciPy's SuperLU does the same unsymmetrically, several times slower. The choice is measured in docs/validation.md.
+The mixed displacement-pressure matrix [[A, Bᵀ], [B, -C]] is symmetric and indefinite: an LDLᵀ factorisation answers it in one go. Intel MKL's
+PARDISO does that on both cores; where MKL is not to be had (not x86), SciPy's SuperLU does the same unsymmetrically, several times slower.
 
-One home for the matrix layout too: `SymmetricPattern`'s CSR arrays hold the upper triangle, rows sorted.
+A factorisation costs ten solves, and Newton's matrices change little from one iteration to the next: `SymmetricSystem` solves with the present matrix by
+GMRES, preconditioned by the last factorisation, and factorises anew when that takes too long.
+
+The matrix is given as CSR arrays of its upper triangle, rows sorted (`assembly.SymmetricPattern`).
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from ctypes.util import find_library
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, gmres
+from threadpoolctl import ThreadpoolController
 
 _MTYPE_SYMMETRIC_INDEFINITE = -2
 
@@ -40,7 +44,10 @@ class PardisoSolver:
         path = find_mkl()
         if path is None:
             raise ImportError("no mkl_rt library")
-        os.environ.setdefault("MKL_THREADING_LAYER", "INTEL")
+        if os.environ.setdefault("MKL_THREADING_LAYER", "TBB") == "TBB":
+            # idle OpenMP threads spin, which on a busy machine costs more than they bring; TBB's sleep. mkl_rt looks for TBB by name only
+            for tbb in sorted(glob.glob(os.path.join(os.path.dirname(path), "libtbb.so.*")), key=len)[:1]:
+                ctypes.CDLL(tbb, mode=ctypes.RTLD_GLOBAL)
         self._mkl = ctypes.CDLL(path)
         if threads is not None:
             self._mkl.MKL_Set_Num_Threads(ctypes.c_int(threads))
@@ -50,9 +57,7 @@ class PardisoSolver:
         self._iparm[1] = 2  # METIS nested dissection
         self._iparm[7] = 1  # one step of iterative refinement
         self._iparm[9] = 10  # pivots under 1e-10 of the norm are perturbed
-        self._iparm[10] = 1  # scaling
-        self._iparm[12] = 1  # weighted matching, needed with scaling for saddle points
-        self._iparm[20] = 1  # Bunch-Kaufman pivots
+        # No matching, no scaling, plain pivots: with -C < 0 the matrix is quasi-definite and has an LDLᵀ in any order (Vanderbei 1995). Costs a third less.
         self._iparm[34] = 1  # 0-based indices
         self._analysed = False
 
@@ -122,6 +127,68 @@ class SuperLUSolver:
 
     def solve(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._lu.solve(b.T).T if b.ndim > 1 else self._lu.solve(b)
+
+
+class SymmetricSystem:
+    """Solves K x + B_tᵀ B_n x = b again and again for matrices K of one pattern that change slowly, with as few factorisations as it can.
+
+    Attributes: `factorisations` and `solves` done so far.
+    """
+
+    # A solve costs a tenth of a factorisation, a product a third of a solve: beyond this many iterations a new factorisation is cheaper.
+    KRYLOV_LIMIT = 7
+
+    def __init__(self, direct: PardisoSolver | SuperLUSolver | None = None) -> None:
+        self.direct = direct or make_solver()
+        self.factorisations = self.solves = 0
+        self._factored = False
+
+    def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32], size: int) -> None:
+        """Takes a new pattern of so many unknowns."""
+        self._indptr, self._indices, self._size = indptr, indices, size
+        self.direct.analyse(indptr, indices, np.zeros(len(indices)))
+        self._factored = False
+
+    def solve(self, values: NDArray[np.float64], b: NDArray[np.float64], tolerance: float,
+              coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None = None) -> NDArray[np.float64]:  # fmt: skip
+        """x to a relative residual (preconditioned) of `tolerance`, or of rounding where a factorisation answers alone."""
+        if self._factored:
+            x, met = self._krylov(values, b, tolerance, coupling)
+            if met:
+                return x
+        self.direct.factorise(values)
+        self.factorisations += 1
+        self._factored = True
+        if coupling is None:
+            self.solves += 1
+            return self.direct.solve(b)
+        # where slip couples so strongly that this falls short, the step is inexact; Newton corrects it
+        return self._krylov(values, b, tolerance, coupling)[0]
+
+    def _krylov(self, values, b, tolerance, coupling):  # type: ignore[no-untyped-def]
+        upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(self._size, self._size))
+        lower = upper.T
+        diagonal = upper.diagonal()
+        along, closing = coupling if coupling is not None else (None, None)
+
+        def precondition(r: NDArray[np.float64]) -> NDArray[np.float64]:
+            self.solves += 1
+            return self.direct.solve(r)
+
+        def product(x: NDArray[np.float64]) -> NDArray[np.float64]:
+            y = upper @ x + lower @ x - diagonal * x
+            if along is not None:
+                y += along.T @ (closing @ x)
+            return precondition(y)
+
+        right = precondition(b)
+        x, info = gmres(LinearOperator(upper.shape, matvec=product), right, rtol=tolerance, restart=self.KRYLOV_LIMIT, maxiter=1)
+        return x, info == 0
+
+
+def single_threaded_blas():  # type: ignore[no-untyped-def]
+    """A context in which NumPy's OpenBLAS stays on one thread: its idle threads spin, and the vectors here are too short to share."""
+    return ThreadpoolController().select(internal_api="openblas").limit(limits=1)
 
 
 def make_solver() -> PardisoSolver | SuperLUSolver:

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import LinearOperator, gmres
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids, SymmetricPattern, build_pattern, pair_keys
 from gelsim.fem.contact import SurfaceContact
-from gelsim.fem.linear import make_solver
+from gelsim.fem.linear import SymmetricSystem
 
 FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
 MAX_LINE_SEARCH = 8
@@ -58,10 +57,8 @@ class Newton:
 
     def __init__(self, solids: Solids, contact: SurfaceContact, options: NewtonOptions) -> None:
         self.solids, self.contact, self.options = solids, contact, options
-        self.solver = make_solver()
+        self.system = SymmetricSystem()
         self.pattern: SymmetricPattern | None = None
-        self.factorisations = 0
-        self.solves = 0
         self.displacement_unknown = np.zeros(solids.unknowns)
         self.displacement_unknown[solids.equation[:, :3][solids.free[:, :3]]] = 1.0
 
@@ -97,26 +94,8 @@ class Newton:
             gel, body = self.contact.node_pairs(margin=0.2)
             keys = np.union1d(solids.keys, pair_keys(gel, body, solids.node_count))
             self.pattern = build_pattern(solids.free, keys, solids.device)
-            self.solver.analyse(self.pattern.indptr, self.pattern.indices, np.zeros(len(self.pattern.indices)))
+            self.system.analyse(self.pattern.indptr, self.pattern.indices, self.pattern.size)
         raise AssertionError("the pattern made from the present contact does not hold it")
-
-    def _step(self, residual: Residual, near: bool) -> Array:
-        """Newton's step. The unsymmetric rest of the tangent, B_tᵀ B_n, is added by GMRES on (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b: a few solves."""
-        step = self.solver.solve(-residual.equations)
-        self.solves += 1
-        coupling = self.contact.slip_coupling(self.solids.equation, self.solids.unknowns) if near else None
-        if coupling is None:
-            return step
-        along, closing = coupling
-
-        def apply(x: Array) -> Array:
-            self.solves += 1
-            return x + self.solver.solve(along.T @ (closing @ x))
-
-        operator = LinearOperator((len(step), len(step)), matvec=apply)
-        # an inexact answer is a step as well: Newton corrects it
-        answer, _ = gmres(operator, step, x0=step, rtol=1e-3, restart=12, maxiter=1)
-        return answer
 
     def _line_search(self, step: Array, residual: Residual, reach: float, freeze: bool) -> tuple[Residual | None, float]:
         """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the full step, or a root by regula falsi.
@@ -154,7 +133,7 @@ class Newton:
 
     def solve(self, reach: float) -> NewtonReport:
         """Iterates from the solids' present state, in place. `reach` [mm] bounds the search for contact."""
-        options, solids = self.options, self.solids
+        options, solids, contact = self.options, self.solids, self.contact
         residual = self.residual(reach)
         for iteration in range(options.max_iterations + 1):
             size = max(residual.imbalance, residual.volume_error)
@@ -166,9 +145,9 @@ class Newton:
                 break
             near = residual.imbalance < GEOMETRIC_BELOW
             values = self._matrix(near)
-            self.solver.factorise(values)
-            self.factorisations += 1
-            step = self._step(residual, near)
+            coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
+            tolerance = float(np.clip(0.1 * size, 1e-6, 1e-2))  # no better than what Newton will leave anyway
+            step = self.system.solve(values, -residual.equations, tolerance, coupling)
             if not np.isfinite(step).all():
                 return NewtonReport(SolveStatus.NONFINITE, iteration, size, residual.min_jacobian)
             trial, fraction = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)

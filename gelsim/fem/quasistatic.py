@@ -19,6 +19,7 @@ from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem.assembly import Solids
 from gelsim.fem.contact import ContactLaw, SurfaceContact
 from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import Newton, NewtonOptions
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.materials import ElasticMaterial
@@ -153,6 +154,11 @@ class _Recorded:
 
 def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> Deformation:  # type: ignore[no-untyped-def]
     """Solves a press. `progress(done, total)` is called after each recorded state."""
+    with single_threaded_blas():
+        return _march(problem, progress, throw)
+
+
+def _march(problem: PressProblem, progress, throw: bool) -> Deformation:  # type: ignore[no-untyped-def]
     scene, solids, contact, newton = problem.scene, problem.solids, problem.contact, problem.newton
     press = scene.press
     depth = (press.depth_mm if press.depth_mm is not None else _depth_limit(scene)) / MM
@@ -211,7 +217,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
                 contact.set_multipliers(history[2] + ratio * (history[2] - previous[2]))
             solids.set_state(_predict(problem, motion, s, start, previous, new, driven_rest, object_rest))
             reach = 1.0 + 2 * (new - s) * MM
-            before = newton.factorisations
+            before = newton.system.factorisations
             report = newton.solve(reach)
             iterations += report.iterations
             overlap = np.inf
@@ -224,7 +230,7 @@ def run_press(problem: PressProblem, *, progress=None, throw: bool = True) -> De
                 before_this, overlap = overlap, -float(contact.gap.numpy().min())
                 if overlap <= OVERLAP_MM or overlap > 0.7 * before_this:  # where a sharp edge cuts in, linear multipliers cannot do better
                     break
-            factorisations += newton.factorisations - before
+            factorisations += newton.system.factorisations - before
             if report.status is SolveStatus.CONVERGED:
                 return True
             status = report.status
@@ -376,7 +382,7 @@ def _deformation(problem: PressProblem, record: _Recorded, status: SolveStatus, 
         status=status, message=message,
         info={
             "unknowns": problem.solids.unknowns, "steps_halved": halved, "symmetry": sorted(gel.symmetry),
-            "linear_solver": problem.newton.solver.name, "factorisations": problem.newton.factorisations, "solves": problem.newton.solves,
+            "linear_solver": problem.newton.system.direct.name, "factorisations": problem.newton.system.factorisations, "solves": problem.newton.system.solves,
             "rigid_object": not isinstance(body, TetMesh),
         },
     )  # fmt: skip
