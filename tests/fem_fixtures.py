@@ -22,7 +22,7 @@ from gelsim.scene import Body, Contact, Gel, Press, Scene
 
 wp.config.quiet = True
 Array = NDArray[np.float64]
-MM = 1e-3
+MM = MILLI = 1e-3
 E_GEL = 50.0  # kPa, the gel of the reference solutions
 
 
@@ -94,6 +94,33 @@ def flat_gel(fine_mm: float = 0.5, reach_mm: float = 2.5, layers: int = 2, half_
     return mesh
 
 
+def quarter_disc(
+    radius_mm: float, cells: int, z_mm: Array, bottom: str, top: str, side: str, cap_radius_mm: float | None = None
+) -> TetMesh:
+    """A quarter of a round block, finer toward its rim, with its middles on the circle; with a spherical underside of `cap_radius_mm`.
+
+    The square grid is mapped by x = u √(1 - v²/2), y = v √(1 - u²/2), which takes the unit square's edge to the unit circle.
+    """
+    line = np.linspace(0, 1, cells + 1)
+    line = line * (1.6 - 0.6 * line) if cap_radius_mm is None else line * (0.6 + 0.4 * line)
+    mesh = box_mesh(line, line, z_mm * MM, bottom, top, side, "xy")
+    u, v, z = mesh.rest_positions.T
+    x, y = radius_mm * MM * u * np.sqrt(1 - v**2 / 2), radius_mm * MM * v * np.sqrt(1 - u**2 / 2)
+    if cap_radius_mm is not None:
+        rise = cap_radius_mm * MM - np.sqrt((cap_radius_mm * MM) ** 2 - x**2 - y**2)
+        z = z + rise * (z.max() - z) / (z.max() - z.min())
+    return TetMesh(np.column_stack([x, y, z]), mesh.tets, mesh.groups, mesh.symmetry)
+
+
+@lru_cache
+def soft_cap() -> TetMesh:
+    """A quarter of a soft object in its own frame: a ball's cap of R = 5 mm, 8 mm across, on a foot, 8 mm tall overall."""
+    z = 8.0 * np.array([0.0, 0.08, 0.2, 0.45, 1.0])
+    mesh = quarter_disc(4.0, 7, z, "contact", "base", "flank", cap_radius_mm=5.0)
+    groups = {"base": mesh.groups["base"], "contact": np.vstack([mesh.groups["contact"], mesh.groups["flank"]])}
+    return TetMesh(mesh.rest_positions, mesh.tets, groups, mesh.symmetry)
+
+
 # ---------------------------------------------------------------------------------------------------------------- solids alone
 def solids_of(mesh: TetMesh, material: ElasticMaterial, fixed: NDArray[np.bool_], points: int = 4) -> Solids:
     """One solid in solver units (mm, kPa)."""
@@ -135,7 +162,11 @@ def equilibrium(solids: Solids, start: Array) -> int:
         solids.add_tangent(pattern.pairs, values)
         solver.factorise(values.numpy())
         change = solver.solve(-residual)
-        solids.move(solids.state(), change, 1.0)
+        state, fraction = solids.state(), 1.0
+        solids.move(state, change, fraction)
+        while residual_of(solids)[1] <= 0.1 and fraction > 1e-3:  # an element would turn inside out
+            fraction /= 2
+            solids.move(state, change, fraction)
         moved = np.zeros(solids.free.shape)
         moved[solids.free] = change
         if np.abs(moved[:, :3]).max() < 1e-11 * np.ptp(solids.rest, axis=0).max():
@@ -144,6 +175,19 @@ def equilibrium(solids: Solids, start: Array) -> int:
 
 
 # ---------------------------------------------------------------------------------------------------------------- presses
+def cap_scene(
+    modulus_kpa: float, depth_mm: float, frames: int, friction: float | str = 0.0, gel_kpa: float = E_GEL, **press: object
+) -> Scene:
+    """`soft_cap` on the flat gel."""
+    return Scene(
+        gel=Gel(profile="flat", youngs_modulus_kpa=gel_kpa),
+        object=Body(shape="hemisphere", radius_mm=5.0, height_mm=8.0, youngs_modulus_kpa=modulus_kpa),
+        contact=Contact(friction_coefficient=friction),
+        press=Press(depth_mm=depth_mm, force_n=None, frames=frames, **press),  # type: ignore[arg-type]
+        fidelity="fast",
+    )
+
+
 def ball_scene(depth_mm: float, frames: int, nu: float = 0.499, friction: float | str = 0.0, radius_mm: float = 5.0,
                modulus_kpa: float = E_GEL, fidelity: str = "fast", **press: object) -> Scene:  # fmt: skip
     """A rigid ball on the flat gel of the reference solutions."""
@@ -180,7 +224,19 @@ def rigid_body(scene: Scene, gel: TetMesh) -> QuadraticSurface:
 def ball_press(scene: Scene, fine_mm: float = 0.5, reach_mm: float = 2.5, whole: str = "") -> tuple[PressProblem, Deformation]:
     """A solved press on the structured gel, and the problem in its last state."""
     gel = flat_gel(fine_mm, reach_mm, whole=whole)
-    problem = problem_of(scene, gel, rigid_body(scene, gel))
+    return solved(problem_of(scene, gel, rigid_body(scene, gel)))
+
+
+@lru_cache
+def cap_press(scene: Scene, whole: str = "") -> tuple[PressProblem, Deformation]:
+    """The same of `soft_cap`."""
+    body = soft_cap()
+    for axis in whole:
+        body = mirror(body, axis)
+    return solved(problem_of(scene, flat_gel(whole=whole), body))
+
+
+def solved(problem: PressProblem) -> tuple[PressProblem, Deformation]:
     deformation = run_press(problem)
     assert deformation.status is SolveStatus.CONVERGED
     return problem, deformation
