@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from gelsim import materials, outputs
@@ -124,12 +125,8 @@ def render(
     """
     record = record or Record()
     surfaces = membranes(scene, deformation, record=record)
+    optics = _choose_renderer(scene, device, record)
     with record.stage("render"):
-        from gelsim import optics
-
-        variant = optics.choose_variant(device)
-        record.choices["variant"] = variant.name
-        record.choices["variant_reason"] = variant.reason
         show = (lambda done, total: progress("render", done, total)) if progress else None
         return list(optics.render_frames(scene, surfaces, progress=show, device=device))
 
@@ -170,6 +167,9 @@ def run(
     folder = outputs.ResultFolder(out, force=force, resume=resume)
     start = time.perf_counter()
     record = Record()
+    if render_frames:
+        # What cannot be drawn should be known before minutes go into the press.
+        _choose_renderer(scene, device, record)
     deformation = _earlier_press(scene, folder.path) if resume else None
     try:
         if deformation is None:
@@ -208,6 +208,19 @@ def summary(report: dict[str, Any]) -> str:
         f"{report['seconds']['total']:.1f} s ({seconds})",
     ]
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
+
+
+def _choose_renderer(scene: Scene, device: str, record: Record) -> ModuleType:
+    """gelsim.optics, once it is sure that it can draw this scene here."""
+    with record.stage("variant"):
+        from gelsim import optics
+        from gelsim.optics.scene_dict import emitter_dict
+
+        emitter_dict(scene)
+        variant = optics.choose_variant(device)
+    record.choices["variant"] = variant.name
+    record.choices["variant_reason"] = variant.reason
+    return optics
 
 
 def _earlier_press(scene: Scene, out: Path) -> Deformation | None:

@@ -149,8 +149,8 @@ class Light:
     """One coloured emitter: a Lambertian rectangle inside the window."""
 
     name: str = "light"
-    position_mm: Vec3 = (0.0, 0.0, 0.0)
-    """Of its centre; z < 0 is inside the sensor."""
+    position_mm: Vec3 = (0.0, 0.0, -5.0)
+    """Of its centre; z < 0: inside the sensor."""
     direction: Vec3 = (0.0, 0.0, 1.0)
     """It faces there; any length but zero."""
     size_mm: Vec2 = (1.0, 1.0)
@@ -259,7 +259,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "render.mode": ("path", "direct"),
 }
 
-# Inclusive bounds of every number in a field, in the unit of its name. What has no row is only checked to be finite.
+# Inclusive bounds of every number in a field, in the unit of its name. Only Shore readings have no row: their relations bound them.
 LIMITS: dict[str, tuple[float, float]] = {
     "seed": (0, 2**32 - 1),
     "gel.size_mm": (5, 100),
@@ -295,6 +295,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
     "lights.gel_ior": (1, 3),
+    "lights.lights.position_mm": (-1000, 1000),
+    "lights.lights.direction": (-1e6, 1e6),
     "lights.lights.size_mm": (0.01, 200),
     "lights.lights.rgb": (0, 1e6),
     "lights.lights.power": (0, 1e9),
@@ -452,10 +454,25 @@ def _check(scene: Scene) -> None:
     for axis, offset, size in zip("xy", press.offset_mm, gel.size_mm, strict=True):
         if abs(offset) > 0.5 * size:
             raise SceneError(f"press.offset_mm = {offset:g} mm along {axis}: the gel ends at {0.5 * size:g} mm from its centre")
+    _check_optics(scene)
     if scene.markers.layout != "none" and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
         raise SceneError(
             f"markers.radius_mm = {scene.markers.radius_mm:g} mm: markers overlap unless it is less than half of "
             f"markers.pitch_mm = {scene.markers.pitch_mm:g} mm"
+        )
+
+
+def _check_optics(scene: Scene) -> None:
+    for light in scene.lights.lights:
+        if light.position_mm[2] >= 0:
+            raise SceneError(f"lights.lights {light.name!r}: position_mm has z = {light.position_mm[2]:g} mm; inside is below 0")
+        if light.direction == (0.0, 0.0, 0.0):
+            raise SceneError(f"lights.lights {light.name!r}: direction = 0 0 0 points nowhere; give any other")
+    inside = scene.lights.window_thickness_mm + scene.gel.thickness_mm
+    if scene.camera.distance_mm <= inside:
+        raise SceneError(
+            f"camera.distance_mm = {scene.camera.distance_mm:g} mm: the camera stands behind window and gel, "
+            f"so it must exceed {inside:g} mm"
         )
 
 

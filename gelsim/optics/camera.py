@@ -15,7 +15,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gelsim.errors import SceneError
 from gelsim.results import Membrane
 from gelsim.scene import Scene
 
@@ -24,19 +23,12 @@ def apparent_distance(scene: Scene) -> float:
     """From the pinhole, as it appears inside the gel, to the plane z = 0 [m]."""
     gel, lights = scene.gel, scene.lights
     air_mm = scene.camera.distance_mm - lights.window_thickness_mm - gel.thickness_mm
-    if air_mm <= 0:
-        raise SceneError(
-            f"camera.distance_mm is {scene.camera.distance_mm} mm, which puts the pinhole inside the window or the gel; "
-            f"it must exceed {lights.window_thickness_mm + gel.thickness_mm} mm"
-        )
     return 1e-3 * (air_mm * lights.gel_ior + lights.window_thickness_mm * lights.gel_ior / lights.window_ior + gel.thickness_mm)
 
 
 def pixel_size(scene: Scene) -> float:
     """Width and height of a pixel on the plane z = 0 [m]: the smallest square that fits the whole field into the picture."""
     size, resolution = np.array(scene.camera.field_mm) * 1e-3, np.array(scene.render.resolution)
-    if np.any(size <= 0) or np.any(resolution <= 0):
-        raise SceneError(f"camera.field_mm {scene.camera.field_mm} and render.resolution {scene.render.resolution} must be positive")
     return float(np.max(size / resolution))
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SceneError
 from gelsim.markers import OUTLINE_HARMONICS, marker_layout
 from gelsim.scene import Scene
 
@@ -56,17 +55,8 @@ def grain_pattern(scene: Scene) -> NDArray[np.float32]:
 
 
 def coating_dict(scene: Scene) -> dict:
-    """The membrane's reflectance, for `scene_dict`.
-
-    Raises:
-        SceneError: An albedo, reflectance or share outside 0…1, or a roughness outside 0.01…1.
-    """
+    """The membrane's reflectance, for `scene_dict`."""
     coating, markers = scene.coating, scene.markers
-    shares = (*coating.albedo, *coating.flake_reflectance, coating.specular, markers.albedo)
-    if min(shares) < 0 or max(shares) > 1:
-        raise SceneError("coating.albedo, coating.flake_reflectance, coating.specular and markers.albedo must lie within 0…1")
-    if not 0.01 <= coating.roughness <= 1:
-        raise SceneError(f"coating.roughness is {coating.roughness}; allowed are 0.01…1")
     grain = grain_pattern(scene)[..., None]
     coat: dict = {"type": "diffuse", "reflectance": _texture(np.clip(grain * coating.albedo, 0, 1))}
     if coating.specular > 0:

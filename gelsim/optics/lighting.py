@@ -19,10 +19,7 @@ from gelsim.scene import Light, Scene
 def light_pose(light: Light) -> NDArray[np.float64]:
     """Takes the square [-1, 1]² with normal +z to the light's rectangle [mm], shape (4, 4): its first side lies along the gel."""
     normal = np.array(light.direction, float)
-    length = np.linalg.norm(normal)
-    if length == 0:
-        raise SceneError(f"lights: {light.name!r} has direction (0, 0, 0); it needs a length")
-    normal /= length
+    normal /= np.linalg.norm(normal)
     along = np.cross([0.0, 0.0, 1.0], normal)
     # A light that looks straight up has no side along the gel of its own: x then.
     along = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else np.array([1.0, 0.0, 0.0])
@@ -36,24 +33,19 @@ def light_pose(light: Light) -> NDArray[np.float64]:
 
 def light_radiance(light: Light) -> NDArray[np.float64]:
     """Radiance of the light's face [mW / mm² sr], shape (3,)."""
-    area = light.size_mm[0] * light.size_mm[1]
-    if area <= 0 or light.power < 0 or min(light.rgb) < 0:
-        raise SceneError(f"lights: {light.name!r} needs a positive size_mm and no negative power or rgb")
-    return light.power * np.array(light.rgb, float) / (np.pi * area)
+    return light.power * np.array(light.rgb, float) / (np.pi * light.size_mm[0] * light.size_mm[1])
 
 
 def emitter_dict(scene: Scene) -> dict[str, dict]:
     """One rectangle a light, for `scene_dict`.
 
     Raises:
-        SceneError: No light at all, or one that is not inside the sensor.
+        SceneError: No light at all.
     """
     if not scene.lights.lights:
         raise SceneError("lights.lights is empty; a sensor preset (load_scene) fills it, or give at least one light")
     emitters = {}
     for i, light in enumerate(scene.lights.lights):
-        if light.position_mm[2] >= 0:
-            raise SceneError(f"lights: {light.name!r} is at z = {light.position_mm[2]} mm; inside the sensor z is negative")
         emitters[f"light_{i}"] = {
             "type": "rectangle",
             "to_world": light_pose(light),

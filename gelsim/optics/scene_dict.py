@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from gelsim.errors import SceneError
 from gelsim.optics.camera import apparent_distance, pixel_size
 from gelsim.optics.coating import coating_dict
 from gelsim.optics.lighting import emitter_dict
@@ -31,12 +30,8 @@ def scene_dict(scene: Scene) -> dict:
     """Camera, lights, coating and integrator; the membrane's mesh comes from `mesh_arrays`.
 
     Raises:
-        SceneError: A field that the renderer cannot use; the message names it.
+        SceneError: There is no light.
     """
-    if scene.render.mode not in INTEGRATORS:
-        raise SceneError(f"render.mode is {scene.render.mode!r}; allowed are {', '.join(repr(mode) for mode in INTEGRATORS)}")
-    if scene.render.spp < 1:
-        raise SceneError(f"render.spp is {scene.render.spp}; at least 1 light path a pixel is needed")
     return {
         "type": "scene",
         "integrator": dict(INTEGRATORS[scene.render.mode]),

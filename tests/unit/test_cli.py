@@ -11,6 +11,7 @@ import pytest
 from gelsim import cli, pipeline
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.flags import Parser, add_scene_flags, layer_of
+from gelsim.optics import variant
 from gelsim.results import Deformation
 from gelsim.scene import Scene, field_types
 from gelsim.scene_file import build_scene
@@ -163,23 +164,25 @@ def test_resume_takes_the_press_of_the_same_scene(
     assert "made with another [object]" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("flags", "expected"), [(["--lights.lights", "[]"], "lights.lights is empty"), (["--device", "cuda"], "CUDA was asked for")]
+)
+def test_what_cannot_be_drawn_is_known_before_the_press(
+    flags: list[str], expected: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(pipeline, "press", lambda *_, **__: pytest.fail("solved for nothing"))
+    monkeypatch.setattr(variant, "_has_nvidia", lambda: False)
+    variant._choose.cache_clear()
+    assert cli.main(["render", *flags]) == cli.BAD_INPUT
+    assert expected in capfd.readouterr().err and list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_render_writes_everything(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     flags = [
-        "--shape",
-        "hemisphere",
-        "--rigid",
-        "--depth-mm",
-        "0.2",
-        "--frames",
-        "3",
-        "--fidelity",
-        "fast",
-        "--spp",
-        "2",
-        "--resolution",
-        "64x48",
-    ]
+        "--shape", "hemisphere", "--rigid", "--depth-mm", "0.2", "--frames", "3", "--fidelity", "fast", "--spp", "2",
+        "--resolution", "64x48",
+    ]  # fmt: skip
     assert cli.main(["render", *flags, "--gel.profile", "flat", "--out", "a", "--exr", "--json"]) == cli.OK
     report = json.loads(capfd.readouterr().out)
     names = {"frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png", "scene.toml", "press.npz", "report.json"}

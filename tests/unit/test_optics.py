@@ -173,9 +173,6 @@ def test_paths_suit_sampler_and_lights():
 def test_scene_dict_refuses_what_cannot_be_lit():
     with pytest.raises(SceneError, match="lights.lights is empty"):
         scene_dict(Scene())
-    outside = Light("above", (0.0, 0.0, 3.0))
-    with pytest.raises(SceneError, match="above"):
-        scene_dict(Scene(lights=Lights((outside,))))
 
 
 def test_variant_of_this_machine_is_named_with_its_reason():

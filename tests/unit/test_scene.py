@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import is_dataclass, replace
 from pathlib import Path
+from typing import Any, get_args, get_origin
 
 import pytest
 
 from gelsim.errors import MaterialError, SceneError
-from gelsim.scene import Body, Gel, Press, Scene
+from gelsim.scene import LIMITS, Body, Gel, Press, Scene, field_types
 from gelsim.scene_file import build_scene, dump_scene, load_scene, preset_names
 
 
@@ -99,8 +102,45 @@ BAD = {
     "mesh without a file": ('[object]\nshape = "mesh"', "object.mesh is missing"),
     "file without mesh": ('[object]\nmesh = "a.stl"', 'say shape = "mesh"'),
     "preset": ('[sensor]\npreset = "fingertip2018"', "did you mean 'fingertip2017'"),
+    "infinite light": ("[[lights.lights]]\npower = inf", "lights.lights.power = inf: expected a finite number"),
+    "far light": ("[[lights.lights]]\nposition_mm = [0, 0, -1e9]", "lights.lights.position_mm = 0 0 -1e+09 mm: allowed is -1000"),
+    "light outside": ('[[lights.lights]]\nname = "top"\nposition_mm = [0, 0, 3]', "lights.lights 'top': position_mm has z = 3 mm"),
+    "light without direction": ("[[lights.lights]]\ndirection = [0, 0, 0]", "lights.lights 'light': direction = 0 0 0 points nowhere"),
+    "camera in the window": ("[camera]\ndistance_mm = 5", "camera.distance_mm = 5 mm: the camera stands behind window and gel"),
     "law": ('[object]\nlaw = "neohookean"', "did you mean 'neo-hookean'"),
 }
+
+
+def number_fields(kind: type, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Full name and type of every field of a scene that holds numbers."""
+    for key, hint in field_types(kind).items():
+        full = f"{name}.{key}" if name else key
+        inner = next(iter(get_args(hint)), None)
+        if is_dataclass(hint) or is_dataclass(inner):
+            yield from number_fields(hint if is_dataclass(hint) else inner, full)  # type: ignore[arg-type]
+        elif any(number in (hint, *get_args(hint)) for number in (float, int)):
+            yield full, hint
+
+
+def test_every_number_is_bounded() -> None:
+    unbounded = [name for name, _ in number_fields(Scene) if name not in LIMITS and name.split(".")[-1] not in ("shore_00", "shore_a")]
+    assert unbounded == []
+    assert sorted(set(LIMITS) - {name for name, _ in number_fields(Scene)}) == []
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_none_are_refused_in_every_field(wrong: float) -> None:
+    for name, hint in number_fields(Scene):
+        value: Any = [wrong] * len(get_args(hint)) if get_origin(hint) is tuple else wrong
+        *sections, key = name.split(".")
+        layer: Any = {key: value}
+        if sections == ["lights", "lights"]:
+            layer = {"lights": {"lights": [layer]}}
+        elif sections:
+            layer = {sections[0]: layer}
+        # A whole number is refused for its type, the others because they are not finite.
+        with pytest.raises(SceneError, match=rf"{name} = {wrong}: expected a"):
+            build_scene(layer)
 
 
 @pytest.mark.parametrize("name", BAD)
