@@ -121,8 +121,8 @@ def test_normal_contact_matches_the_twin(curved: bool) -> None:
     active = pressure > 0
     assert active.sum() > 20
     wanted, hessian = assembled(pair, x)
-    # the kernel seeks the foot by six Gauss-Newton steps, each of which gains a factor |g|/R ~ 1e-3 or better: rounding of g rules (1 mm over
-    # 1 µm: 1e3 ulps), in sums over some ten points
+    # the kernel seeks the foot by six Gauss-Newton steps, each of which gains a factor |g|/R ~ 1e-3 or better: rounding of g rules (1 mm
+    # over 1 µm: 1e3 ulps), in sums over some ten points
     assert np.abs(wanted).max() > 0.1
     assert np.abs(force - wanted).max() <= 1e4 * EPS * np.abs(wanted).max()
     assert np.abs(force.sum(axis=0)).max() <= 100 * EPS * np.abs(force).sum()  # what one body gets the other gives

@@ -1,8 +1,8 @@
 """A ball and a disc against solutions of other codes and published fits; a locking element fails the same checks.
 
-The numbers in `AXISYMMETRIC` and the disc's are from an axisymmetric Taylor-Hood code on other meshes, agreed with CalculiX 2.20 within 0.2 %
-(ball: three meshes, 0.1 %; disc 0.3 %): gel E = 50 kPa, disc of radius 12.5 mm and thickness 2.4 mm, inner face fixed, no friction. A square of
-25 mm and a disc of 25 mm differ by far less than the bounds here: the contact is 4 mm across.
+The numbers in `AXISYMMETRIC` and the disc's are from an axisymmetric Taylor-Hood code on other meshes, which agrees with CalculiX 2.20
+within 0.2 % (ball: three meshes, 0.1 %; disc 0.3 %): gel E = 50 kPa, disc of radius 12.5 mm and thickness 2.4 mm, inner face fixed, no friction.
+A square of 25 mm and a disc of 25 mm differ by far less than the bounds here: the contact is 4 mm across.
 """
 
 from __future__ import annotations
@@ -137,6 +137,6 @@ def test_bonded_disc(nu: float, wanted: float) -> None:
     start[:, 2] = -0.1 * solids.rest[:, 2]
     equilibrium(solids, start)
     force = -4 * solids.internal_force()[0][node[:, 2] > 1.2 * MM - 1e-12, 2].sum() * 1e-3
-    # the rim where the bond ends is singular (stress ~ r^-0.4), so force falls like h^1.2 of the rim cells: 1.0 % at 6, 0.6 % at 9, 0.4 % at 12
-    # cells a radius; with the reference's 0.3 %
+    # the rim where the bond ends is singular (stress ~ r^-0.4), so force falls like h^1.2 of the rim cells: 1.0 % at 6, 0.6 % at 9, 0.4 %
+    # at 12 cells a radius; with the reference's 0.3 %
     assert 0 < force / wanted - 1 < 0.013
