@@ -1,8 +1,8 @@
 """A ball and a disc against solutions of other codes and published fits; a locking element fails the same checks.
 
 The numbers in `AXISYMMETRIC` and the disc's are from an axisymmetric Taylor-Hood code on other meshes, which agrees with CalculiX 2.20
-within 0.2 % (ball: three meshes, 0.1 %; disc 0.3 %): gel E = 50 kPa, disc of radius 12.5 mm and thickness 2.4 mm, inner face fixed, no friction.
-A square of 25 mm and a disc of 25 mm differ by far less than the bounds here: the contact is 4 mm across.
+within 0.2 % (ball: three meshes, 0.1 %; disc 0.3 %): gel E = 50 kPa, disc of radius 12.5 mm and thickness 2.4 mm, inner face fixed, no
+friction. A square of 25 mm and a disc of 25 mm differ by far less than the bounds here: the contact is 4 mm across.
 """
 
 from __future__ import annotations
