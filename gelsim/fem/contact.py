@@ -27,9 +27,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg
 import warp as wp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 
 from gelsim.fem.assembly import PairPattern, add_block, find_pair
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
@@ -430,7 +430,7 @@ class SurfaceContact:
         mass = np.einsum("fq,qa,qb->fab", self.rest_weight.reshape(-1, points), bary, bary)
         rows = np.repeat(self._corner, 3, axis=1).ravel()
         columns = np.tile(self._corner, (1, 3)).ravel()
-        self._projection = sp.linalg.splu(sp.csc_matrix((mass.ravel(), (rows, columns))))
+        self._projection = splu(sp.csc_matrix((mass.ravel(), (rows, columns))))
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
 

@@ -3,9 +3,6 @@
 The mixed displacement-pressure matrix [[A, Bᵀ], [B, -C]] is symmetric and indefinite: an LDLᵀ factorisation answers it in one go. Intel MKL's
 PARDISO does that on both cores; where MKL is not to be had (not x86), SciPy's SuperLU does the same unsymmetrically, several times slower.
 
-A factorisation costs ten solves, and Newton's matrices change little from one iteration to the next: `SymmetricSystem` solves with the present matrix by
-GMRES, preconditioned by the last factorisation, and factorises anew when that takes too long.
-
 The matrix is given as CSR arrays of its upper triangle, rows sorted (`assembly.SymmetricPattern`).
 """
 
@@ -55,7 +52,7 @@ class PardisoSolver:
         self._iparm = np.zeros(64, np.int32)
         self._iparm[0] = 1  # every value below is ours
         self._iparm[1] = 2  # METIS nested dissection
-        self._iparm[7] = 1  # one step of iterative refinement
+        self._iparm[7] = 0  # no iterative refinement unless a pivot was perturbed: Newton and GMRES refine
         self._iparm[9] = 10  # pivots under 1e-10 of the norm are perturbed
         # No matching, no scaling, plain pivots: with -C < 0 the matrix is quasi-definite and has an LDLᵀ in any order (Vanderbei 1995). Costs a third less.
         self._iparm[34] = 1  # 0-based indices
@@ -130,60 +127,44 @@ class SuperLUSolver:
 
 
 class SymmetricSystem:
-    """Solves K x + B_tᵀ B_n x = b again and again for matrices K of one pattern that change slowly, with as few factorisations as it can.
+    """Solves (K + B_tᵀ B_n) x = b with a direct factorisation of the symmetric K and, for the low-rank unsymmetric rest, GMRES.
 
     Attributes: `factorisations` and `solves` done so far.
     """
 
-    # A solve costs a tenth of a factorisation, a product a third of a solve: beyond this many iterations a new factorisation is cheaper.
-    KRYLOV_LIMIT = 7
+    # Friction couples few points: a handful of iterations. Where they fall short the step is inexact, and Newton corrects it.
+    KRYLOV_TOLERANCE = 1e-3
+    KRYLOV_LIMIT = 12
 
-    def __init__(self, direct: PardisoSolver | SuperLUSolver | None = None) -> None:
-        self.direct = direct or make_solver()
+    def __init__(self) -> None:
+        self.direct = make_solver()
         self.factorisations = self.solves = 0
-        self._factored = False
+        self.factored = False
 
-    def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32], size: int) -> None:
-        """Takes a new pattern of so many unknowns."""
-        self._indptr, self._indices, self._size = indptr, indices, size
+    def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
+        """Takes a new pattern."""
         self.direct.analyse(indptr, indices, np.zeros(len(indices)))
-        self._factored = False
+        self.factored = False
 
-    def solve(self, values: NDArray[np.float64], b: NDArray[np.float64], tolerance: float,
-              coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None = None) -> NDArray[np.float64]:  # fmt: skip
-        """x to a relative residual (preconditioned) of `tolerance`, or of rounding where a factorisation answers alone."""
-        if self._factored:
-            x, met = self._krylov(values, b, tolerance, coupling)
-            if met:
-                return x
+    def factorise(self, values: NDArray[np.float64]) -> None:
         self.direct.factorise(values)
         self.factorisations += 1
-        self._factored = True
+        self.factored = True
+
+    def solve(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None) -> NDArray[np.float64]:
+        """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""
+        self.solves += 1
+        x = self.direct.solve(b)
         if coupling is None:
+            return x
+        along, closing = coupling
+
+        def product(v: NDArray[np.float64]) -> NDArray[np.float64]:
             self.solves += 1
-            return self.direct.solve(b)
-        # where slip couples so strongly that this falls short, the step is inexact; Newton corrects it
-        return self._krylov(values, b, tolerance, coupling)[0]
+            return v + self.direct.solve(along.T @ (closing @ v))
 
-    def _krylov(self, values, b, tolerance, coupling):  # type: ignore[no-untyped-def]
-        upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(self._size, self._size))
-        lower = upper.T
-        diagonal = upper.diagonal()
-        along, closing = coupling if coupling is not None else (None, None)
-
-        def precondition(r: NDArray[np.float64]) -> NDArray[np.float64]:
-            self.solves += 1
-            return self.direct.solve(r)
-
-        def product(x: NDArray[np.float64]) -> NDArray[np.float64]:
-            y = upper @ x + lower @ x - diagonal * x
-            if along is not None:
-                y += along.T @ (closing @ x)
-            return precondition(y)
-
-        right = precondition(b)
-        x, info = gmres(LinearOperator(upper.shape, matvec=product), right, rtol=tolerance, restart=self.KRYLOV_LIMIT, maxiter=1)
-        return x, info == 0
+        operator = LinearOperator((len(b), len(b)), matvec=product)
+        return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]
 
 
 def single_threaded_blas():  # type: ignore[no-untyped-def]

@@ -36,6 +36,7 @@ PENALTY_PER_MODULUS = 30.0
 PENALTY_SMOOTHING_MM = 5e-4
 STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
+ROUGH_TOLERANCE = 2e-2  # of the first solve of a step, before the multipliers move
 OVERLAP_MM = 5e-3  # overlap above which another is tried
 # Pressure, as a share of the largest, from which a point counts as in contact: the linear multipliers smear a little load over the rim's last faces.
 # Hertz's pressure falls below 5 % only in the outer 0.13 % of the radius.
@@ -218,7 +219,7 @@ def _march(problem: PressProblem, progress, throw: bool) -> Deformation:  # type
             solids.set_state(_predict(problem, motion, s, start, previous, new, driven_rest, object_rest))
             reach = 1.0 + 2 * (new - s) * MM
             before = newton.system.factorisations
-            report = newton.solve(reach)
+            report = newton.solve(reach, tolerance=ROUGH_TOLERANCE)
             iterations += report.iterations
             overlap = np.inf
             for _ in range(MAX_AUGMENTATIONS):
