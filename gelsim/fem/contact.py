@@ -390,7 +390,7 @@ class SurfaceContact:
     """The gel's faces against the object's, with the state of the current iterate. Positions are given in mm."""
 
     def __init__(self, gel_faces: NDArray[np.int32], object_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
-                 points: int = 12) -> None:  # fmt: skip
+                 points: int = 6, symmetry: frozenset[str] = frozenset()) -> None:  # fmt: skip
         self.law, self.device, self.points = law, device, points
         self.gel_faces, self.object_faces = gel_faces, object_faces
         bary, rule = triangle_quadrature(points)
@@ -430,7 +430,14 @@ class SurfaceContact:
         mass = np.einsum("fq,qa,qb->fab", self.rest_weight.reshape(-1, points), bary, bary)
         rows = np.repeat(self._corner, 3, axis=1).ravel()
         columns = np.tile(self._corner, (1, 3)).ravel()
-        self._projection = splu(sp.csc_matrix((mass.ravel(), (rows, columns))))
+        matrix = sp.csc_matrix((mass.ravel(), (rows, columns)))
+        # pressure, then the three components of traction: one across a mirror plane is zero on it
+        self._projections = []
+        for column in (None, 0, 1, 2):
+            free = np.ones(len(self.vertices), bool)
+            if column is not None and "xyz"[column] in symmetry:
+                free = np.abs(rest[self.vertices, column]) > 1e-9
+            self._projections.append((np.flatnonzero(free), splu(matrix[free][:, free])))
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
 
@@ -547,8 +554,11 @@ class SurfaceContact:
         """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the gel's faces."""
         tractions = np.concatenate([self.pressure.numpy()[:, None], self.traction.numpy()], axis=1)
         moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, 4), self._bary)
-        total = np.stack([np.bincount(self._corner.ravel(), moment[..., c].ravel(), len(self.vertices)) for c in range(4)], 1)
-        self.set_multipliers(self._projection.solve(total))
+        at_vertices = np.zeros((len(self.vertices), 4))
+        for c, (free, projection) in enumerate(self._projections):
+            total = np.bincount(self._corner.ravel(), moment[..., c].ravel(), len(self.vertices))
+            at_vertices[free, c] = projection.solve(total[free])
+        self.set_multipliers(at_vertices)
 
     def save(self) -> tuple[Array, Array, Array]:
         """Friction history and multipliers, to return to when a step is halved."""

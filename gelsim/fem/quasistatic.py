@@ -36,6 +36,7 @@ PENALTY_PER_MODULUS = 30.0
 PENALTY_SMOOTHING_MM = 5e-4
 STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
+TOLERANCES = {"fast": 3e-4, "balanced": 1e-4, "reference": 1e-6}  # imbalance left by Newton; a force is off by a fraction of it
 ROUGH_TOLERANCE = 2e-2  # of the first solve of a step, before the multipliers move
 OVERLAP_MM = 5e-3  # overlap above which another is tried
 # Pressure, as a share of the largest, from which a point counts as in contact: the linear multipliers smear a little load over the rim's last faces.
@@ -68,7 +69,7 @@ class PressProblem:
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *, tet_points: int = 4,
-                 contact_points: int = 6) -> None:  # fmt: skip
+                 contact_points: int = 6, tolerance: float | None = None) -> None:  # fmt: skip
         self.scene, self.gel, self.body = scene, gel, body
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -110,8 +111,9 @@ class PressProblem:
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
-        self.contact = SurfaceContact(gel.groups["coated"], (object_faces + n).astype(np.int32), rest, self.law, device, contact_points)
-        self.newton = Newton(self.solids, self.contact, NewtonOptions())
+        faces = (object_faces + n).astype(np.int32)
+        self.contact = SurfaceContact(gel.groups["coated"], faces, rest, self.law, device, contact_points, gel.symmetry)
+        self.newton = Newton(self.solids, self.contact, NewtonOptions(tolerance or TOLERANCES[scene.fidelity]))
         self.copies = 2 ** len(gel.symmetry)
 
     def contact_force(self) -> Array:
