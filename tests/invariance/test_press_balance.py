@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_fixtures import MILLI, Array, ball_press, ball_scene, cap_press, cap_scene
+from fem_fixtures import MILLI, TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene
 
-from gelsim.fem.newton import NewtonOptions
 from gelsim.fem.quasistatic import PressProblem
 
 # Newton ends when no node is out of balance by more than `tolerance` of the largest nodal contact force; a hundred nodes on a face add up.
-BALANCE = 100 * NewtonOptions().tolerance
+BALANCE = 100 * TOLERANCE
 
 
 def platen_force(problem: PressProblem) -> Array:

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem_fixtures import Array, ball_press, ball_scene, cap_press, cap_scene
+from fem_fixtures import TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene
 
-from gelsim.fem.newton import NewtonOptions
 from gelsim.results import Deformation
 
 # Two presses that should be equal end at different points within Newton's tolerance; friction remembers it from step to step.
-SAME = 100 * NewtonOptions().tolerance
+SAME = 100 * TOLERANCE
 
 
 def mirrored(press: Deformation, axis: int) -> tuple[Array, Array]:

@@ -86,12 +86,12 @@ def test_ball_force_at_nu_049() -> None:
 @pytest.mark.parametrize("nu", [0.499, 0.4999])
 def test_a_locking_element_is_seen(nu: float) -> None:
     """Displacements alone, p = κ(J - 1) at each point: 14 % too stiff on the mesh that the real element passes on."""
-    scene = ball_scene(0.3, 4, nu=nu)
+    scene = ball_scene(0.2, 3, nu=nu)
     gel = flat_gel()
     problem = problem_of(scene, gel, rigid_body(scene, gel))
     problem.solids._residual, problem.solids._tangent = locking.locked_residual, locking.locked_tangent
     _, press = solved(problem)
-    wanted = AXISYMMETRIC[0.3][0] if nu == 0.499 else long_2011(0.3)
+    wanted = AXISYMMETRIC[0.2][0] if nu == 0.499 else long_2011(0.2)
     assert -press.force[-1, 2] > (1 + ALLOWED + 0.02) * wanted
 
 

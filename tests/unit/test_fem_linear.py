@@ -9,7 +9,7 @@ import warp as wp
 from fem_fixtures import MM, Array, box_mesh, solids_of, tangent_of
 
 from gelsim.fem.assembly import Solids, build_pattern, element_pairs, pair_keys
-from gelsim.fem.linear import PardisoSolver, SuperLUSolver, find_mkl, make_solver
+from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, find_mkl, make_solver
 from gelsim.fem.reference import element_tangent
 from gelsim.materials import ElasticMaterial
 
@@ -96,6 +96,29 @@ def test_solvers_agree(nu: float) -> None:
         assert np.linalg.norm(matrix @ x - right) <= 10 * EPS * (sp.linalg.norm(matrix) * np.linalg.norm(x))
         assert np.linalg.norm(x - answers[0]) <= 20 * EPS * condition * np.linalg.norm(answers[0])
     assert np.linalg.norm(answers[0]) > 0
+
+
+def test_system_with_the_unsymmetric_part_of_friction() -> None:
+    """(K + B_tᵀ B_n) x = b, by GMRES around the factorised K."""
+    solids = small_solids()
+    pattern = build_pattern(solids.free, solids.keys, "cpu")
+    values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
+    solids.add_tangent(pattern.pairs, values)
+    system = SymmetricSystem()
+    system.analyse(pattern.indptr, pattern.indices)
+    system.factorise(values.numpy())
+    rng = np.random.default_rng(12)
+    right = rng.standard_normal(pattern.size)
+    along, closing = (sp.csr_matrix(np.where(rng.random((3, pattern.size)) < 0.1, rng.random((3, pattern.size)), 0.0)) for _ in range(2))
+    whole = tangent_of(solids).toarray()
+    plain = np.linalg.solve(whole, right)
+    assert np.linalg.norm(system.solve(right, None) - plain) <= 1e-9 * np.linalg.norm(plain)  # condition 3e5 times rounding
+    wanted = np.linalg.solve(whole + (along.T @ closing).toarray(), right)
+    found = system.solve(right, (along, closing))
+    assert np.linalg.norm(wanted - plain) > 0.1 * np.linalg.norm(plain), "a coupling that does nothing would prove nothing"
+    # of rank 3: GMRES would end exactly after four steps; it may stop at its tolerance before, in the preconditioned residual
+    assert np.linalg.norm(found - wanted) <= 10 * SymmetricSystem.KRYLOV_TOLERANCE * np.linalg.norm(wanted)
+    assert system.factorisations == 1
 
 
 def test_a_solver_without_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
