@@ -1,4 +1,4 @@
-"""The command line: `gelsim render | press | inspect | doctor` (what each writes: README.md).
+"""The command line: `gelsim render | press | bench | inspect | doctor` (what each writes: README.md).
 
 Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved
 is kept. Nothing heavy is imported before a command needs it, so that --help is instant.
@@ -39,6 +39,12 @@ examples:
   gelsim render --scene scenes/press_ball_rigid.toml --sensor gelsight_mini --resolution 640x480 --spp 64 --exr
 
 A flag beats the scene file, the file beats the sensor's preset, the preset beats the defaults."""
+BENCH_EXAMPLES = """\
+examples:
+  gelsim bench --quick
+  gelsim bench --only stability --out out/stability
+
+Writes bench.md (the tables), one CSV a section, results.jsonl (a line a case) and speed_against_error.png."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -82,6 +88,13 @@ def _parser() -> Parser:
     press.add_argument("--probe", metavar="FILE.csv", help="sample the gel's outer surface at rest points x_mm,y_mm; writes probe.csv")
     for command in (render, press):
         add_scene_flags(command)
+    bench = commands.add_parser("bench", help="speed against error, and numerical stability: tables and plots", epilog=BENCH_EXAMPLES)
+    bench.add_argument("--quick", action="store_true", help="fewer accuracy cases, none at `reference`: minutes instead of half an hour")
+    bench.add_argument("--only", choices=("accuracy", "stability", "speed"), help="one section (default: all)")
+    bench.add_argument("--out", metavar="DIR", default="out/bench", help="result folder (default: out/bench)")
+    bench.add_argument("--force", action="store_true", help="begin again in an existing folder")
+    bench.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
+    _add_output_flags(bench, _bench)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz or a mesh file holds")
     inspect.add_argument("path", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--out", metavar="FILE.png", help="where to draw it (default: not drawn)")
@@ -169,6 +182,19 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print(inspection.describe(facts))
     return facts
+
+
+def _bench(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim import bench
+
+    sections = (options.only,) if options.only else bench.SECTIONS
+    with _progress() as progress:
+        result = bench.run(
+            Path(options.out), sections=sections, quick=options.quick, resume=options.resume, force=options.force, progress=progress
+        )
+    if not options.json:
+        print((Path(options.out) / "bench.md").read_text())
+    return result
 
 
 def _doctor(options: argparse.Namespace) -> dict[str, Any]:

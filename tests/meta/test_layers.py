@@ -20,7 +20,7 @@ LAYERS = [
     {"meshing", "fem", "membrane", "optics"},
     {"outputs", "sheet"},
     {"pipeline", "inspection", "doctor", "randomize"},
-    {"generate", "study", "calibrate", "durometer"},
+    {"generate", "study", "calibrate", "durometer", "bench"},
     {"flags"},
     {"cli"},
     {"__main__", "__init__"},
