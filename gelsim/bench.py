@@ -182,6 +182,7 @@ def measure(case: Case) -> dict[str, Any]:
         "seconds": round(record.seconds["press"], 2),
         "unknowns": press.info["unknowns"],
         "steps_halved": press.info["steps_halved"],
+        "stress_jump": press.info["stress_jump"],
         "newton_iterations": int(press.newton_iterations.sum()),
         "factorisations": press.info["factorisations"],
         "min_jacobian": round(float(press.min_jacobian.min()), 3),
@@ -258,7 +259,8 @@ _COLUMNS = {
     ),
     "stability": (
         ("case", "name"), ("ended", "status"), ("states", "states"), ("steps halved", "steps_halved"),
-        ("Newton iterations", "newton_iterations"), ("smallest det F", "min_jacobian"), ("overlap [µm]", "penetration_um"), ("force [N]", "force_n"), ("seconds", "seconds"),
+        ("Newton iterations", "newton_iterations"), ("smallest det F", "min_jacobian"), ("overlap [µm]", "penetration_um"),
+        ("force [N]", "force_n"), ("seconds", "seconds"),
     ),
 }  # fmt: skip
 

@@ -19,10 +19,11 @@ from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem.assembly import Solids
 from gelsim.fem.contact import ContactLaw, SurfaceContact
 from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, stress_jump
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import Newton, NewtonOptions
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
-from gelsim.materials import ElasticMaterial
+from gelsim.materials import OGDEN_TERMS, ElasticMaterial
 from gelsim.results import Deformation, SurfaceMotion
 from gelsim.scene import Scene
 
@@ -96,16 +97,19 @@ class PressProblem:
         fixed[self.driven] = True
 
         parts = []
+        ogden = any(material.law == "ogden" for _, material, _ in meshes)
         for mesh, material, shift in meshes:
             data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), tet_points)
             count = len(mesh.tets)
-            law = np.tile(isochoric_constants(material), (count, 1))
+            law = np.tile(isochoric_constants(material, ogden), (count, 1))
             parts.append((mesh.tets + shift, data, law, np.full(count, material.kappa * KPA)))
         data = parts[0][1]
         if len(parts) > 1:
             data = type(data)(*(np.concatenate([getattr(p[1], f) for p in parts]) for f in ("gradients", "weights")), data.pressure_shape)
         tets, law, kappa = (np.concatenate([p[i] for p in parts]) for i in (0, 2, 3))
         self.solids = Solids(rest, tets.astype(np.int32), data, law, kappa, fixed, device)
+        self.quadrature = data
+        self.shear = np.concatenate([np.full(len(mesh.tets), material.mu * KPA) for mesh, material, _ in meshes])
         softest = min(m.youngs_modulus for _, m, _ in meshes) * KPA
         stiffness = PENALTY_PER_MODULUS * softest
         mu = scene.contact.friction_coefficient
@@ -136,9 +140,18 @@ class PressProblem:
         return force * MILLINEWTON
 
 
-def isochoric_constants(material: ElasticMaterial) -> Array:
-    """c₁, c₂, c₃ of the isochoric energy [kPa]."""
-    return np.array([material.mu / 2, 0.0, 0.0]) * KPA
+def isochoric_constants(material: ElasticMaterial, ogden: bool = False) -> Array:
+    """The constants [kPa] that `Solids` takes: (c₁, c₂, c₃), or of an Ogden law (μ₁, α₁, …), padded with terms of μ = 0.
+
+    `ogden`: in Ogden's form whatever the law, for a neo-Hookean solid beside one of Ogden's; α = 2 is the same law.
+    """
+    if material.law == "ogden" or ogden:
+        assert material.law != "yeoh", "a cubic has no Ogden form"
+        alpha, weight = np.reshape(material.constants, (-1, 2)).T if material.law == "ogden" else ([2.0], [1.0])
+        constants = np.tile([0.0, 2.0], OGDEN_TERMS)
+        constants[: 2 * len(alpha)] = np.column_stack([material.mu * KPA * np.asarray(weight), alpha]).ravel()
+        return constants
+    return material.mu / 2 * KPA * np.array([1.0, *(material.constants or (0.0, 0.0))])
 
 
 @dataclass
@@ -377,6 +390,7 @@ def _deformation(problem: PressProblem, record: _Recorded, status: SolveStatus, 
     surface, displacement, _ = _whole(placed, everything[:, problem.object_nodes[used]], None, gel.symmetry)
     object_motion = SurfaceMotion(surface.nodes, split_faces(surface.faces), displacement, surface.faces)
     count = len(record.approach)
+    jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, problem.solids.displacement.numpy())
     return Deformation(
         approach=np.array(record.approach), force=np.array(record.force), contact_area=np.array(record.area),
         contact_pressure=pressure, gel=gel_motion, object=object_motion, min_jacobian=np.array(record.min_jacobian),
@@ -387,5 +401,7 @@ def _deformation(problem: PressProblem, record: _Recorded, status: SolveStatus, 
             "unknowns": problem.solids.unknowns, "steps_halved": halved, "symmetry": sorted(gel.symmetry),
             "linear_solver": problem.newton.system.direct.name, "factorisations": problem.newton.system.factorisations, "solves": problem.newton.system.solves,
             "rigid_object": not isinstance(body, TetMesh),
+            "stress_jump": jump,
+            "error_estimate": {"force": FORCE_ERROR_PER_JUMP * jump},
         },
     )  # fmt: skip
