@@ -1,8 +1,7 @@
 """Ten-node tetrahedra and six-node triangles: shape functions, quadrature, rest-configuration gradients. NumPy, float64.
 
-Displacement is quadratic, pressure linear and continuous (Taylor-Hood): the pair is inf-sup stable, so it neither locks nor lets the pressure
-oscillate as ν → ½ (Boffi, Brezzi, Fortin 2013, §8.8). Geometry is isoparametric: mid-side nodes may lie on a curved boundary.
-"""
+Displacement is quadratic, pressure linear and continuous (Taylor-Hood): the pair is inf-sup stable, so it neither locks nor lets the
+pressure oscillate as ν → ½ (Boffi, Brezzi, Fortin 2013, §8.8). Geometry is isoparametric: mid-side nodes may lie on a curved boundary."""
 
 from __future__ import annotations
 

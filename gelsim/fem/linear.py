@@ -1,7 +1,8 @@
 """Direct solution of the symmetric indefinite systems of Newton's method.
 
-The mixed displacement-pressure matrix [[A, Bᵀ], [B, -C]] is symmetric and indefinite: an LDLᵀ factorisation answers it in one go. Intel MKL's
-PARDISO does that on both cores; where MKL is not to be had (not x86), SciPy's SuperLU does the same unsymmetrically, several times slower.
+The mixed displacement-pressure matrix [[A, Bᵀ], [B, -C]] is symmetric and indefinite: an LDLᵀ factorisation answers it in one go. Intel
+MKL's PARDISO does that on both cores; where MKL is not to be had (not x86), SciPy's SuperLU does the same unsymmetrically, several times
+slower.
 
 The matrix is given as CSR arrays of its upper triangle, rows sorted (`assembly.SymmetricPattern`).
 """

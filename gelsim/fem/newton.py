@@ -1,8 +1,8 @@
 """Newton's method on the mixed equations of `Solids` with contact: residual, matrix, step, and why it stopped.
 
-One iteration finds the contact of the current positions, assembles, factorises and steps. Contact that opens and closes makes full steps cycle: a
-line search on the work of the unbalanced forces along the step cuts them where they overshoot. Converged means: forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry.
-"""
+One iteration finds the contact of the current positions, assembles, factorises and steps. Contact that opens and closes makes full steps
+cycle: a line search on the work of the unbalanced forces along the step cuts them where they overshoot. Converged means: forces balance to
+`tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
 
 from __future__ import annotations
 

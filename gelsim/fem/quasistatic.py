@@ -1,8 +1,8 @@
 """The press as a sequence of equilibria: the object's base travels toward the gel's window, step by step.
 
-Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path. A step that does not converge is
-halved, with the friction history returned to where the step began; after two easy steps it doubles again. Recorded states are equally spaced in
-approach; `force_n` ends the press at the approach (found by the secant rule) where the normal force reaches it.
+Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path. A step that does
+not converge is halved, with the friction history returned to where the step began; after two easy steps it doubles again. Recorded states
+are equally spaced in approach; `force_n` ends the press at the approach (found by the secant rule) where the normal force reaches it.
 
 Left out: inertia, gravity, viscosity. Gravity of a 25 mm silicone body is under 0.1 kPa per 10 mm of height.
 """

@@ -1,0 +1,335 @@
+"""Warp kernels of contact: closest points on six-node faces, penalty and friction tractions, their tangents (equations: contact.py)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from gelsim.fem.assembly import PairPattern, add_block, find_pair
+
+wp.set_module_options({"max_unroll": 1, "enable_backward": False})
+
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+
+
+@wp.func
+def tri6(xi: wp.vec2d) -> vec6d:
+    b = xi[0]
+    c = xi[1]
+    a = wp.float64(1.0) - b - c
+    two = wp.float64(2.0)
+    four = wp.float64(4.0)
+    one = wp.float64(1.0)
+    return vec6d(a * (two * a - one), b * (two * b - one), c * (two * c - one), four * a * b, four * b * c, four * c * a)
+
+
+@wp.func
+def tri6_d1(xi: wp.vec2d) -> vec6d:
+    b = xi[0]
+    c = xi[1]
+    a = wp.float64(1.0) - b - c
+    one = wp.float64(1.0)
+    four = wp.float64(4.0)
+    return vec6d(one - four * a, four * b - one, wp.float64(0.0), four * (a - b), four * c, -four * c)
+
+
+@wp.func
+def tri6_d2(xi: wp.vec2d) -> vec6d:
+    b = xi[0]
+    c = xi[1]
+    a = wp.float64(1.0) - b - c
+    one = wp.float64(1.0)
+    four = wp.float64(4.0)
+    return vec6d(one - four * a, wp.float64(0.0), four * c - one, -four * b, four * b, four * (a - c))
+
+
+@wp.func
+def on_face(x: wp.array(dtype=wp.vec3d), faces: wp.array2d(dtype=wp.int32), f: wp.int32, n: vec6d) -> wp.vec3d:
+    y = wp.vec3d()
+    for a in range(6):
+        y += n[a] * x[faces[f, a]]
+    return y
+
+
+@wp.func
+def clamp_to_face(xi: wp.vec2d) -> wp.vec2d:
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    b = wp.max(xi[0], zero)
+    c = wp.max(xi[1], zero)
+    if b + c > one:
+        shift = wp.float64(0.5) * (b + c - one)
+        b = wp.clamp(b - shift, zero, one)
+        c = one - b
+        if c > one:
+            c = one
+    return wp.vec2d(b, c)
+
+
+@wp.func
+def penalty_pressure(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
+    if s <= wp.float64(0.0):
+        return wp.float64(0.0)
+    if s < eps:
+        return k * s * s / (wp.float64(2.0) * eps)
+    return k * (s - wp.float64(0.5) * eps)
+
+
+@wp.func
+def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
+    if s <= wp.float64(0.0):
+        return wp.float64(0.0)
+    if s < eps:
+        return k * s / eps
+    return k
+
+
+@wp.func
+def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), faces: wp.array2d(dtype=wp.int32), f: wp.int32, xi: wp.vec2d) -> wp.vec2d:
+    """One Gauss-Newton step of |x - y(ξ)|²."""
+    y1 = on_face(x, faces, f, tri6_d1(xi))
+    y2 = on_face(x, faces, f, tri6_d2(xi))
+    r = position - on_face(x, faces, f, tri6(xi))
+    a11 = wp.dot(y1, y1)
+    a12 = wp.dot(y1, y2)
+    a22 = wp.dot(y2, y2)
+    g1 = wp.dot(r, y1)
+    g2 = wp.dot(r, y2)
+    det = a11 * a22 - a12 * a12
+    return xi + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det)
+
+
+@wp.kernel(enable_backward=False)
+def closest_points(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), reach: wp.float32,
+    overhang: wp.float64, face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    gap: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
+
+    Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
+    """
+    i = wp.tid()
+    position = on_face(x, slave, i // points, shape[i % points])
+    f = face[i]
+    xi = xi_out[i]
+    kept = bool(False)
+    if f >= 0 and wp.abs(gap[i]) < wp.float64(0.1):
+        for _ in range(6):
+            xi = step_to_foot(position, x, master, f, xi)
+        inside = wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
+        if inside > -overhang:
+            kept = wp.length(position - on_face(x, master, f, tri6(xi))) < wp.float64(0.1)
+    clamped = bool(False)
+    if not kept:
+        query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position), reach)
+        face[i] = -1
+        gap[i] = wp.float64(1.0e9)
+        if not query.result:
+            return
+        f = query.face // 4
+        sub = query.face % 4
+        u = wp.float64(query.u)
+        v = wp.float64(query.v)
+        xi = u * corners[sub, 0] + v * corners[sub, 1] + (wp.float64(1.0) - u - v) * corners[sub, 2]
+        for _ in range(6):
+            free = step_to_foot(position, x, master, f, xi)
+            xi = clamp_to_face(free)
+            clamped = wp.length_sq(free - xi) > wp.float64(1.0e-12)
+    n = wp.normalize(wp.cross(on_face(x, master, f, tri6_d1(xi)), on_face(x, master, f, tri6_d2(xi))))
+    r = position - on_face(x, master, f, tri6(xi))
+    d = wp.length(r)
+    g = wp.dot(r, n)
+    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it
+    if clamped and g < wp.float64(0.0) and -g < wp.float64(0.7) * d:
+        g = d
+    face[i] = f
+    xi_out[i] = xi
+    normal[i] = n
+    gap[i] = g
+
+
+@wp.kernel(enable_backward=False)
+def contact_force(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, weight: wp.array(dtype=wp.float64),
+    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
+    pressure: wp.array(dtype=wp.float64), force: wp.array(dtype=wp.vec3d),
+):  # fmt: skip
+    i = wp.tid()
+    p = wp.float64(0.0)
+    if face[i] >= 0:
+        k = stiffness[i // points]
+        p = penalty_pressure(multiplier[i] / k - gap[i], k, eps)
+    pressure[i] = p
+    if p > wp.float64(0.0):
+        t = (weight[i] * p) * normal[i]
+        m = shape[i % points]
+        n = tri6(xi[i])
+        for a in range(6):
+            wp.atomic_add(force, slave[i // points, a], -m[a] * t)
+            wp.atomic_add(force, master[face[i], a], n[a] * t)
+
+
+@wp.func
+def slip_trial(x: wp.array(dtype=wp.vec3d), position: wp.vec3d, master: wp.array2d(dtype=wp.int32), f: wp.int32, s: vec6d,
+               n: wp.vec3d, shift: wp.vec3d, kt: wp.float64) -> wp.vec3d:  # fmt: skip
+    """Trial traction λ_t + k_t e in the tangent plane of n: what the gel drags the object with."""
+    t = shift + kt * (position - on_face(x, master, f, s))
+    return t - wp.dot(t, n) * n
+
+
+@wp.kernel(enable_backward=False)
+def friction_force(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
+    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+    shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stiffness: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d),
+    force: wp.array(dtype=wp.vec3d),
+):  # fmt: skip
+    """`traction` becomes that on the gel."""
+    i = wp.tid()
+    traction[i] = wp.vec3d()
+    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+        return
+    m = shape[i % points]
+    s = tri6(anchor_xi[i])
+    t = slip_trial(x, on_face(x, slave, i // points, m), master, anchor_face[i], s, normal[i], shift[i], stiffness[i // points])
+    size = wp.length(t)
+    if mu >= wp.float64(0.0) and size > mu * pressure[i]:
+        t = (mu * pressure[i] / size) * t
+    traction[i] = -t
+    for a in range(6):
+        wp.atomic_add(force, slave[i // points, a], (weight[i] * m[a]) * t)
+        wp.atomic_add(force, master[anchor_face[i], a], (-weight[i] * s[a]) * t)
+
+
+@wp.func
+def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, block: wp.mat33d,
+                      missing: wp.array(dtype=wp.int32)):  # fmt: skip
+    if pattern.count[a] == 0 or pattern.count[b] == 0:
+        return
+    if a != b:
+        if find_pair(pattern, wp.min(a, b), wp.max(a, b)) < 0:
+            missing[0] = 1
+            return
+    add_block(pattern, values, a, b, block)
+
+
+@wp.kernel(enable_backward=False)
+def contact_tangent(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64), eps: wp.float64, geometric: wp.float64,
+    pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    i = wp.tid()
+    f = face[i]
+    k = stiffness[i // points]
+    s0 = multiplier[i] / k - gap[i]
+    if f < 0 or s0 <= wp.float64(0.0):
+        return
+    w = weight[i]
+    p = w * penalty_pressure(s0, k, eps)
+    slope = w * penalty_slope(s0, k, eps)
+    n = normal[i]
+    m = shape[i % points]
+    s = tri6(xi[i])
+    s1 = tri6_d1(xi[i])
+    s2 = tri6_d2(xi[i])
+    y1 = on_face(x, master, f, s1)
+    y2 = on_face(x, master, f, s2)
+    a11 = wp.dot(y1, y1)
+    a12 = wp.dot(y1, y2)
+    a22 = wp.dot(y2, y2)
+    det = a11 * a22 - a12 * a12
+    c1 = (a22 * y1 - a12 * y2) / det
+    c2 = (a11 * y2 - a12 * y1) / det
+    # second derivatives of the six shape functions are constant
+    four = wp.float64(4.0)
+    eight = wp.float64(8.0)
+    x0 = x[master[f, 0]]
+    x3 = x[master[f, 3]]
+    x5 = x[master[f, 5]]
+    b11 = wp.dot(n, four * (x0 + x[master[f, 1]]) - eight * x3)
+    b22 = wp.dot(n, four * (x0 + x[master[f, 2]]) - eight * x5)
+    b12 = wp.dot(n, four * (x0 - x3 + x[master[f, 4]] - x5))
+    curvature = b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1))
+    p = geometric * p
+    core = slope * wp.outer(n, n) + p * curvature
+    side1 = p * wp.outer(c1, n)
+    side2 = p * wp.outer(c2, n)
+    for a in range(12):
+        na = int(0)
+        ca = wp.float64(0.0)
+        da1 = wp.float64(0.0)
+        da2 = wp.float64(0.0)
+        if a < 6:
+            na = slave[i // points, a]
+            ca = m[a]
+        else:
+            na = master[f, a - 6]
+            ca = -s[a - 6]
+            da1 = s1[a - 6]
+            da2 = s2[a - 6]
+        for b in range(a, 12):
+            nb = int(0)
+            cb = wp.float64(0.0)
+            db1 = wp.float64(0.0)
+            db2 = wp.float64(0.0)
+            if b < 6:
+                nb = slave[i // points, b]
+                cb = m[b]
+            else:
+                nb = master[f, b - 6]
+                cb = -s[b - 6]
+                db1 = s1[b - 6]
+                db2 = s2[b - 6]
+            block = (ca * cb) * core + (ca * db1) * side1 + (ca * db2) * side2
+            block += wp.transpose((cb * da1) * side1 + (cb * da2) * side2)
+            add_stencil_block(pattern, values, na, nb, block, missing)
+
+
+@wp.kernel(enable_backward=False)
+def friction_tangent(
+    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
+    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+    shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stick: wp.array(dtype=wp.float64), secant: wp.float64,
+    pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    i = wp.tid()
+    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+        return
+    m = shape[i % points]
+    s = tri6(anchor_xi[i])
+    n = normal[i]
+    kt = stick[i // points]
+    t = slip_trial(x, on_face(x, slave, i // points, m), master, anchor_face[i], s, n, shift[i], kt)
+    tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
+    stiffness = kt * tangential
+    size = wp.length(t)
+    if mu >= wp.float64(0.0) and size > mu * pressure[i]:
+        direction = t / size
+        stiffness = (kt * mu * pressure[i] / size) * (tangential - (wp.float64(1.0) - secant) * wp.outer(direction, direction))
+    stiffness = weight[i] * stiffness
+    for a in range(12):
+        na = int(0)
+        ca = wp.float64(0.0)
+        if a < 6:
+            na = slave[i // points, a]
+            ca = m[a]
+        else:
+            na = master[anchor_face[i], a - 6]
+            ca = -s[a - 6]
+        for b in range(a, 12):
+            nb = int(0)
+            cb = wp.float64(0.0)
+            if b < 6:
+                nb = slave[i // points, b]
+                cb = m[b]
+            else:
+                nb = master[anchor_face[i], b - 6]
+                cb = -s[b - 6]
+            add_stencil_block(pattern, values, na, nb, (ca * cb) * stiffness, missing)
