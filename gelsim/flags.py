@@ -78,8 +78,15 @@ def add_scene_flags(parser: argparse.ArgumentParser) -> None:
             group.add_argument("--shore", metavar="N", help="hardness of the object, a number on the scale named by --shore-scale")
             group.add_argument("--shore-scale", choices=("00", "A"), default=None, help="scale of --shore: 00 (the default) or A")
         for item in dataclasses.fields(kind):
+            inner = field_types(kind)[item.name]
+            if dataclasses.is_dataclass(inner):  # a table within a section
+                assert isinstance(inner, type)
+                for part in dataclasses.fields(inner):
+                    doc = docs[inner.__name__].get(part.name, "")
+                    _add(group, f"{section}.{item.name}.{part.name}", field_types(inner)[part.name], doc, part.default or None)
+                continue
             doc = docs[kind.__name__].get(item.name, "")
-            _add(group, f"{section}.{item.name}", field_types(kind)[item.name], doc, item.default, section in PRESET_SECTIONS)
+            _add(group, f"{section}.{item.name}", inner, doc, item.default, section in PRESET_SECTIONS)
 
 
 def layer_of(options: argparse.Namespace) -> Layer:
@@ -90,14 +97,14 @@ def layer_of(options: argparse.Namespace) -> Layer:
     """
     layer: Layer = {}
     for name, text in vars(options).items():
-        section, _, key = name.partition(".")
+        section = name.split(".")[0]
         if text is None or section not in field_types(Scene):
             continue
-        kind = field_types(Scene)[section]
-        if key:
-            layer.setdefault(section, {})[key] = parse_text(text, field_types(kind)[key], name)
-        else:
-            layer[section] = parse_text(text, kind, name)
+        kind, table = field_types(Scene)[section], layer
+        *path, key = name.split(".")
+        for step, below in zip(path, name.split(".")[1:], strict=True):
+            table, kind = table.setdefault(step, {}), field_types(kind)[below]
+        table[key] = parse_text(text, kind, name)
     if options.shore is not None:
         key = "shore_a" if options.shore_scale == "A" else "shore_00"
         layer.setdefault("object", {})[key] = parse_text(options.shore, float, "--shore")
@@ -148,6 +155,8 @@ def _add(parser: Any, name: str, hint: Any, doc: str, default: Any, from_preset:
     elif typing.get_origin(hint) is tuple:
         inner = typing.get_args(hint)
         metavar = "WxH" if key == "resolution" else "TOML" if dataclasses.is_dataclass(inner[0]) else " ".join("XYZ"[: len(inner)])
+        if inner == (float, ...):
+            metavar = "NUMBER"
         words |= {"nargs": "+", "metavar": metavar}
     else:
         words["metavar"] = (unit_of(key) or {int: "N", float: "NUMBER"}.get(hint, "TEXT")).replace(" ", "-").upper().replace("°", "DEG")

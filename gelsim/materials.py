@@ -35,13 +35,26 @@ SHORE_A_RANGE = (20.0, 80.0)
 """Range of the Shore A relation."""
 _QI_SLOPE, _QI_OFFSET = 0.0235, -0.6403
 
-LAWS = ("neo-hookean",)
+LAWS = ("neo-hookean", "yeoh", "ogden")
 """Isochoric laws that the mechanics has."""
+LAW_CONSTANTS = {"neo-hookean": (), "yeoh": ("c2_over_c1", "c3_over_c1"), "ogden": ("alpha", "weight")}
+"""What each law takes from [object.law_constants]; a single `alpha` needs no `weight`."""
+OGDEN_TERMS = 3
+"""The most terms that an Ogden law may have."""
+SMALLEST_ALPHA = 0.1
+"""Of an Ogden exponent's size: at 0 the law turns logarithmic, and 2 mu/alpha^2 loses its digits."""
+YEOH_REACH = 10.0
+"""Up to this excess of I1bar over 3 (a pull to 3.4 times, a squash to a fifth) a Yeoh law must still resist."""
 
 
 @dataclass(frozen=True)
 class ElasticMaterial:
-    """Constants of W = (mu/2)(I1 J^(-2/3) - 3) + (kappa/2)(J - 1)^2."""
+    """Constants of W = What + (kappa/2)(J - 1)^2, What by the law, its small-strain shear modulus mu:
+
+    neo-hookean   (mu/2)(I1bar - 3),  I1bar = J^(-2/3) I1
+    yeoh          c1 [e + (c2/c1) e^2 + (c3/c1) e^3],  e = I1bar - 3,  c1 = mu/2
+    ogden         sum_k 2 mu_k/alpha_k^2 (sum_j lbar_j^alpha_k - 3),  mu_k = weight_k mu,  lbar = J^(-1/3) lambda
+    """
 
     mu: float
     """Shear modulus [Pa]."""
@@ -49,10 +62,14 @@ class ElasticMaterial:
     """Bulk modulus [Pa]."""
     law: str = "neo-hookean"
     """The isochoric part, one of LAWS."""
+    constants: tuple[float, ...] = ()
+    """The shape of its curve, all ratios: c2/c1, c3/c1 of yeoh; alpha_1, weight_1, alpha_2, weight_2 ... of ogden, weights of sum 1."""
 
     @classmethod
-    def from_modulus(cls, youngs_modulus: float, poissons_ratio: float, law: str = "neo-hookean") -> ElasticMaterial:
-        """From Young's modulus [Pa] and Poisson's ratio in [0, 0.5): mu = E/(2(1+v)), kappa = E/(3(1-2v)).
+    def from_modulus(
+        cls, youngs_modulus: float, poissons_ratio: float, law: str = "neo-hookean", constants: tuple[float, ...] = ()
+    ) -> ElasticMaterial:
+        """From Young's modulus [Pa] and Poisson's ratio in [0, 0.5): mu = E/(2(1+v)), kappa = E/(3(1-2v)), whatever the law.
 
         Raises:
             MaterialError: E is not positive, or v outside [0, 0.5).
@@ -61,7 +78,8 @@ class ElasticMaterial:
             raise MaterialError(f"Young's modulus = {youngs_modulus:g} Pa: it must be positive")
         if not 0.0 <= poissons_ratio < 0.5:
             raise MaterialError(f"Poisson's ratio = {poissons_ratio:g}: allowed is 0 ≤ v < 0.5")
-        return cls(youngs_modulus / (2.0 * (1.0 + poissons_ratio)), youngs_modulus / (3.0 * (1.0 - 2.0 * poissons_ratio)), law)
+        mu, kappa = youngs_modulus / (2.0 * (1.0 + poissons_ratio)), youngs_modulus / (3.0 * (1.0 - 2.0 * poissons_ratio))
+        return cls(mu, kappa, law, constants)
 
     @property
     def youngs_modulus(self) -> float:
@@ -144,11 +162,26 @@ class Elastic(Protocol):
     def poissons_ratio(self) -> float: ...
 
 
+class LawConstants(Protocol):
+    """[object.law_constants]; None and () where not given."""
+
+    @property
+    def c2_over_c1(self) -> float | None: ...
+    @property
+    def c3_over_c1(self) -> float | None: ...
+    @property
+    def alpha(self) -> tuple[float, ...]: ...
+    @property
+    def weight(self) -> tuple[float, ...]: ...
+
+
 class _ElasticBody(Elastic, Protocol):
     @property
     def rigid(self) -> bool: ...
     @property
     def law(self) -> str: ...
+    @property
+    def law_constants(self) -> LawConstants: ...
 
 
 class _Pressed(Protocol):
@@ -184,7 +217,57 @@ def object_material(scene: _Pressed) -> ElasticMaterial | None:
     """The object's constants; None when it is rigid."""
     if scene.object.rigid:
         return None
-    return ElasticMaterial.from_modulus(youngs_modulus(scene.object), scene.object.poissons_ratio, scene.object.law)
+    constants = law_shape(scene.object.law, scene.object.law_constants)
+    return ElasticMaterial.from_modulus(youngs_modulus(scene.object), scene.object.poissons_ratio, scene.object.law, constants)
+
+
+def law_shape(law: str, given: LawConstants) -> tuple[float, ...]:
+    """`ElasticMaterial.constants` of a law from what [object.law_constants] gives.
+
+    Raises:
+        MaterialError: A constant is missing, belongs to another law, or is out of range; the message begins with its name.
+    """
+    for name in sorted({name for names in LAW_CONSTANTS.values() for name in names}):
+        present = getattr(given, name) not in (None, ())
+        if present and name not in LAW_CONSTANTS[law]:
+            owner = next(owner for owner, names in LAW_CONSTANTS.items() if name in names)
+            raise MaterialError(f'{name} is a constant of law = "{owner}", but law = "{law}"')
+        if not present and name in LAW_CONSTANTS[law] and not (name == "weight" and len(given.alpha) <= 1):
+            raise MaterialError(f'{name} is missing: law = "{law}" needs {" and ".join(LAW_CONSTANTS[law])}')
+    if law == "yeoh":
+        assert given.c2_over_c1 is not None and given.c3_over_c1 is not None
+        _check_yeoh(given.c2_over_c1, given.c3_over_c1)
+        return given.c2_over_c1, given.c3_over_c1
+    if law == "ogden":
+        weight = given.weight or (1.0,)
+        _check_ogden(given.alpha, weight)
+        # a sum of 0.333 + 0.333 + 0.333 is meant to be one
+        return tuple(value for a, w in zip(given.alpha, weight, strict=True) for value in (a, w / math.fsum(weight)))
+    return ()
+
+
+def _check_yeoh(second: float, third: float) -> None:
+    """1 + 2 (c2/c1) e + 3 (c3/c1) e^2 > 0 for 0 <= e <= YEOH_REACH: the stiffness dWhat/dI1bar stays positive."""
+    places = [YEOH_REACH] + ([-second / (3.0 * third)] if third > 0.0 and 0.0 < -second / (3.0 * third) < YEOH_REACH else [])
+    for place in places:
+        if 1.0 + 2.0 * second * place + 3.0 * third * place * place <= 0.0:
+            name, value = ("c2_over_c1", second) if second < 0.0 else ("c3_over_c1", third)
+            raise MaterialError(f"{name} = {value:g}: the law gives way before I1 exceeds 3 by {YEOH_REACH:g}; raise it")
+
+
+def _check_ogden(alpha: tuple[float, ...], weight: tuple[float, ...]) -> None:
+    if len(alpha) > OGDEN_TERMS:
+        raise MaterialError(f"alpha has {len(alpha)} values: allowed are 1 … {OGDEN_TERMS}")
+    if len(weight) != len(alpha):
+        raise MaterialError(f"weight has {len(weight)} values, alpha {len(alpha)}: give one for each alpha")
+    for value in alpha:
+        if abs(value) < SMALLEST_ALPHA:
+            raise MaterialError(f"alpha = {value:g}: its size must be at least {SMALLEST_ALPHA:g}")
+    for value in weight:
+        if value <= 0.0:
+            raise MaterialError(f"weight = {value:g}: it must be positive")
+    if abs(math.fsum(weight) - 1.0) > 0.01:
+        raise MaterialError(f"weight sums to {math.fsum(weight):g}: weights are shares of the shear modulus, of sum 1")
 
 
 def hardness_label(section: Elastic) -> str:

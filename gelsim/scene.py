@@ -55,6 +55,20 @@ class Gel:
 
 
 @dataclass(frozen=True)
+class LawConstants:
+    """The shape of the object's stress-strain curve; its small-strain modulus is the one given by a hardness (docs/decisions/0002)."""
+
+    c2_over_c1: float | None = None
+    """Yeoh's second constant over the first; the first is mu/2."""
+    c3_over_c1: float | None = None
+    """Yeoh's third constant over the first."""
+    alpha: tuple[float, ...] = ()
+    """Exponents of an Ogden law, one to three, of W = sum 2 mu/alpha^2 (l1^alpha + l2^alpha + l3^alpha - 3); 2 is neo-Hookean."""
+    weight: tuple[float, ...] = ()
+    """Share of the shear modulus of each alpha, of sum 1; left out for a single alpha."""
+
+
+@dataclass(frozen=True)
 class Body:
     """The pressed object, [object] in the scene file. Frame: apex at the origin, base at z = height."""
 
@@ -90,7 +104,8 @@ class Body:
     poissons_ratio: float = 0.499
     """0 to 0.49999; silicone is 0.499 to 0.4999."""
     law: str = "neo-hookean"
-    """Elastic law (its isochoric part)."""
+    """Elastic law (its isochoric part); yeoh and ogden need their constants in law_constants."""
+    law_constants: LawConstants = field(default_factory=LawConstants)
 
     def __post_init__(self) -> None:
         if not self.rigid:
@@ -276,6 +291,10 @@ LIMITS: dict[str, tuple[float, float]] = {
     "object.youngs_modulus_kpa": (1, 1e7),
     "object.modulus_scale": (0.05, 20),
     "object.poissons_ratio": (0, 0.49999),
+    "object.law_constants.c2_over_c1": (-1, 10),
+    "object.law_constants.c3_over_c1": (-1, 10),
+    "object.law_constants.alpha": (-25, 25),
+    "object.law_constants.weight": (0, 1),
     "contact.friction_coefficient": (0, 10),
     "press.depth_mm": (1e-3, 50),
     "press.force_n": (1e-3, 1000),
@@ -438,6 +457,10 @@ def _check(scene: Scene) -> None:
             f"gel.thickness_mm = {gel.thickness_mm:g} mm"
         )
     _check_object(body)
+    try:
+        materials.law_shape(body.law, body.law_constants)
+    except MaterialError as error:
+        raise MaterialError(f"object.law_constants.{error}") from None
     friction = scene.contact.friction_coefficient
     if isinstance(friction, str) and friction != "stick":
         raise SceneError(f'contact.friction_coefficient = {friction!r}: allowed is a number of 0 or more, or "stick"')

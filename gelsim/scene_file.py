@@ -1,8 +1,8 @@
 """Scenes as TOML files, and how the layers of a scene lie on each other: defaults < sensor preset < file < flags.
 
 A layer is a nested dictionary with the keys of the dataclasses in `gelsim.scene`. A later layer beats an earlier one field by field, with
-one exception: of shore_00, shore_a and youngs_modulus_kpa the one given last displaces whichever came before. TOML has no null; the text
-"none" stands for it (`depth_mm = "none"`).
+two exceptions: of shore_00, shore_a and youngs_modulus_kpa the one given last displaces whichever came before, and another law displaces
+the constants of the one before. TOML has no null; the text "none" stands for it (`depth_mm = "none"`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.errors import SceneError
-from gelsim.scene import STIFFNESS, Scene, Sensor, field_types, known_key, nearest
+from gelsim.scene import STIFFNESS, LawConstants, Scene, Sensor, field_types, known_key, nearest
 
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
 """What a sensor preset may fill."""
@@ -63,7 +63,11 @@ def build_scene(*layers: Layer) -> Scene:
                 if any(name in value for name in STIFFNESS):
                     for name in STIFFNESS:
                         section.pop(name, None)
-                section.update(value)
+                if "law" in section and value.get("law", section["law"]) != section["law"]:
+                    section.pop("law_constants", None)
+                for name, inner in value.items():
+                    below = section.get(name)
+                    section[name] = {**below, **inner} if isinstance(inner, dict) and isinstance(below, dict) else inner
             else:
                 merged[key] = value
     return Scene(**merged)
@@ -86,9 +90,11 @@ def scene_table(scene: Scene) -> Layer:
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            # A hardness that is not given is left out: two of the three keys in one layer would be an error.
+            # A hardness that is not given is left out: two of the three keys in one layer would be an error. So are constants of a law.
+            unset = STIFFNESS if not isinstance(value, LawConstants) else tuple(field_types(LawConstants))
             pairs = ((item.name, getattr(value, item.name)) for item in dataclasses.fields(value))
-            return {name: plain(inner) for name, inner in pairs if not (name in STIFFNESS and inner is None)}
+            kept = {name: inner for name, inner in pairs if not (name in unset and inner in (None, ())) and inner != LawConstants()}
+            return {name: plain(inner) for name, inner in kept.items()}
         if isinstance(value, tuple):
             return [plain(item) for item in value]
         return "none" if value is None else value

@@ -2,7 +2,7 @@
 
 The potential of Sussman and Bathe (1987), perturbed Lagrangian in the pressure p (positive in expansion):
 
-    Π(u, p) = ∫ Ŵ(Ī₁) + p (J - 1) - p²/(2κ) dV
+    Π(u, p) = ∫ Ŵ + p (J - 1) - p²/(2κ) dV
 
 with quadratic u and continuous linear p. ∂Π/∂p = 0 gives p = κ Π_h(J - 1). Both solids share one numbering, one launch and one matrix;
 contact (contact.py) is the only coupling between them.
@@ -23,7 +23,23 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gelsim.fem.elements import TetQuadrature
-from gelsim.fem.hyperelastic import cofactor, isochoric_excess, law_curvature, law_energy, law_slope, volume_change
+from gelsim.fem.hyperelastic import (
+    OgdenConstants,
+    cofactor,
+    isochoric_excess,
+    isochoric_part,
+    law_curvature,
+    law_energy,
+    law_slope,
+    log_stretches,
+    ogden_energy,
+    ogden_quotient,
+    ogden_stress,
+    ogden_stretch_tangent,
+    principal_axes,
+    volume_change,
+)
+from gelsim.materials import OGDEN_TERMS
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 
@@ -99,9 +115,31 @@ def add_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.in
             add_entry(pattern, values, a, c, b, d, offset, block[c, d])
 
 
+@wp.func
+def scatter_pair(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, na: wp.int32, b: wp.int32, nb: wp.int32,
+                 block: wp.mat33d, coupling_ab: wp.vec3d, coupling_ba: wp.vec3d, pp: wp.float64):  # fmt: skip
+    """Adds what local nodes a ≤ b of a tet share: u_a with u_b, u_a with p_b, p_a with u_b, p_a with p_b; pressures are of nodes 0 … 3."""
+    offset = int(0)
+    if na != nb:
+        offset = find_pair(pattern, wp.min(na, nb), wp.max(na, nb))
+    for i in range(3):
+        for k in range(3):
+            add_entry(pattern, values, na, i, nb, k, offset, block[i, k])
+        if b < 4:
+            add_entry(pattern, values, na, i, nb, 3, offset, coupling_ab[i])
+        if a < 4 and a != b:
+            add_entry(pattern, values, na, 3, nb, i, offset, coupling_ba[i])
+    if b < 4:
+        add_entry(pattern, values, na, 3, nb, 3, offset, pp)
+
+
+def element_kernels(points: int, family: str):
+    """The residual and the tangent kernel for a rule of so many points and a family of laws, "cubic" or "ogden" (hyperelastic.py)."""
+    return {"cubic": _cubic_kernels, "ogden": _ogden_kernels}[family](points)
+
+
 @lru_cache(maxsize=4)
-def element_kernels(points: int):
-    """The residual and the tangent kernel for a rule of so many points."""
+def _cubic_kernels(points: int):
     rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
     per_point = wp.types.matrix(shape=(points, 5), dtype=wp.float64)
     Q = wp.constant(points)
@@ -210,20 +248,151 @@ def element_kernels(points: int):
                         pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
                     if a < 4:
                         coupling_ba += (wj * shape[q, a]) * ab
-                offset = int(0)
-                if na != nb:
-                    offset = find_pair(pattern, wp.min(na, nb), wp.max(na, nb))
-                for i in range(3):
-                    for k in range(3):
-                        add_entry(pattern, values, na, i, nb, k, offset, block[i, k])
-                    if b < 4:
-                        add_entry(pattern, values, na, i, nb, 3, offset, coupling_ab[i])
-                    if a < 4 and a != b:
-                        add_entry(pattern, values, na, 3, nb, i, offset, coupling_ba[i])
-                if b < 4:
-                    add_entry(pattern, values, na, 3, nb, 3, offset, pp)
+                scatter_pair(pattern, values, a, na, b, nb, block, coupling_ab, coupling_ba, pp)
 
     return residual, tangent
+
+
+@lru_cache(maxsize=4)
+def _ogden_kernels(points: int):
+    rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
+    axes = wp.types.matrix(shape=(points, 9), dtype=wp.float64)
+    triples = wp.types.matrix(shape=(points, 3), dtype=wp.float64)
+    per_point = wp.types.matrix(shape=(points, 13), dtype=wp.float64)
+    Q = wp.constant(points)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
+    def ogden_residual(
+        tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
+        gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
+        law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64),
+        force: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64), energy: wp.array(dtype=wp.float64),
+        min_jacobian: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        t = wp.tid()
+        smallest = wp.float64(1.0e30)
+        stored = wp.float64(0.0)
+        for q in range(Q):
+            h = wp.mat33d()
+            for a in range(10):
+                h += wp.outer(displacement[tets[t, a]], gradients[t, q, a])
+            f = wp.identity(n=3, dtype=wp.float64) + h
+            dv = volume_change(h)
+            j = wp.float64(1.0) + dv
+            smallest = wp.min(smallest, j)
+            w = weights[t, q]
+            p = wp.float64(0.0)
+            for b in range(4):
+                p += shape[q, b] * pressure[tets[t, b]]
+            if j > wp.float64(0.0):
+                excess, v = principal_axes(h + wp.transpose(h) + wp.transpose(h) * h)
+                iso = isochoric_part(log_stretches(excess))
+                beta = ogden_stress(law[t], iso)
+                one = wp.float64(1.0)
+                # Σ β/λ n ⊗ N = F Σ β/λ² N ⊗ N, as λ n = F N
+                second = wp.diag(wp.vec3d(beta[0] / (one + excess[0]), beta[1] / (one + excess[1]), beta[2] / (one + excess[2])))
+                stress = f * (v * second * wp.transpose(v)) + p * cofactor(f)
+                stored += w * (ogden_energy(law[t], iso) + p * p / (wp.float64(2.0) * kappa[t]))
+                for a in range(10):
+                    wp.atomic_add(force, tets[t, a], w * (stress * gradients[t, q, a]))
+                for b in range(4):
+                    wp.atomic_add(volume, tets[t, b], w * shape[q, b] * (dv - p / kappa[t]))
+        energy[t] = stored
+        min_jacobian[t] = smallest
+
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
+    def ogden_tangent(
+        tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
+        gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
+        law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64), pattern: PairPattern, values: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        t = wp.tid()
+        half = wp.float64(0.5)
+        # per point: n_A in columns, and per node N_A · G_a
+        spatial = axes()
+        gn = rows()
+        # 0-2: W_AA; 3-5: W_AB, 6-8: P_AB, 9-11: Q_AB of the pairs 01, 02, 12; 12: weight. W and Q with p J of the volume, which in
+        # principal axes is ± p J/(λ_A λ_B) and no more.
+        scalars = per_point()
+        stretches = triples()
+        for q in range(Q):
+            h = wp.mat33d()
+            for a in range(10):
+                h += wp.outer(displacement[tets[t, a]], gradients[t, q, a])
+            f = wp.identity(n=3, dtype=wp.float64) + h
+            j = wp.float64(1.0) + volume_change(h)
+            excess, v = principal_axes(h + wp.transpose(h) + wp.transpose(h) * h)
+            logs = log_stretches(excess)
+            iso = isochoric_part(logs)
+            stretch = wp.vec3d(wp.exp(logs[0]), wp.exp(logs[1]), wp.exp(logs[2]))
+            beta = ogden_stress(law[t], iso)
+            slope = ogden_stretch_tangent(law[t], iso)
+            p = wp.float64(0.0)
+            for b in range(4):
+                p += shape[q, b] * pressure[tets[t, b]]
+            w = weights[t, q]
+            for k in range(3):
+                stretches[q, k] = stretch[k]
+                scalars[q, k] = w * (slope[k, k] - beta[k]) / (stretch[k] * stretch[k])
+                m = k // 2
+                n = 1 + (k + 1) // 2
+                product = stretch[m] * stretch[n]
+                quotient = ogden_quotient(law[t], iso[m], iso[n]) / wp.sqrt(product)
+                s = half * ((wp.float64(1.0) / stretch[m] + wp.float64(1.0) / stretch[n]) * quotient - (beta[m] + beta[n]) / product)
+                total = (beta[m] / stretch[m] + beta[n] / stretch[n]) / (stretch[m] + stretch[n])
+                scalars[q, 3 + k] = w * (slope[m, n] + p * j) / product
+                scalars[q, 6 + k] = w * half * (s + total)
+                scalars[q, 9 + k] = w * (half * (s - total) - p * j / product)
+            scalars[q, 12] = w * j
+            for c in range(3):
+                axis = f * wp.vec3d(v[0, c], v[1, c], v[2, c]) / stretch[c]
+                for i in range(3):
+                    spatial[q, 3 * i + c] = axis[i]
+            for a in range(10):
+                g = wp.transpose(v) * gradients[t, q, a]
+                for c in range(3):
+                    gn[q * 10 + a, c] = g[c]
+        for a in range(10):
+            na = tets[t, a]
+            for b in range(a, 10):
+                nb = tets[t, b]
+                block = wp.mat33d()
+                coupling_ab = wp.vec3d()  # u_a with p_b
+                coupling_ba = wp.vec3d()  # u_b with p_a
+                pp = wp.float64(0.0)
+                for q in range(Q):
+                    ga = wp.vec3d(gn[q * 10 + a, 0], gn[q * 10 + a, 1], gn[q * 10 + a, 2])
+                    gb = wp.vec3d(gn[q * 10 + b, 0], gn[q * 10 + b, 1], gn[q * 10 + b, 2])
+                    turn = wp.mat33d(
+                        spatial[q, 0], spatial[q, 1], spatial[q, 2],
+                        spatial[q, 3], spatial[q, 4], spatial[q, 5],
+                        spatial[q, 6], spatial[q, 7], spatial[q, 8],
+                    )  # fmt: skip
+                    xx = ga[0] * gb[0]
+                    yy = ga[1] * gb[1]
+                    zz = ga[2] * gb[2]
+                    local = wp.mat33d(
+                        scalars[q, 0] * xx + scalars[q, 6] * yy + scalars[q, 7] * zz,
+                        scalars[q, 3] * ga[0] * gb[1] + scalars[q, 9] * ga[1] * gb[0],
+                        scalars[q, 4] * ga[0] * gb[2] + scalars[q, 10] * ga[2] * gb[0],
+                        scalars[q, 3] * ga[1] * gb[0] + scalars[q, 9] * ga[0] * gb[1],
+                        scalars[q, 6] * xx + scalars[q, 1] * yy + scalars[q, 8] * zz,
+                        scalars[q, 5] * ga[1] * gb[2] + scalars[q, 11] * ga[2] * gb[1],
+                        scalars[q, 4] * ga[2] * gb[0] + scalars[q, 10] * ga[0] * gb[2],
+                        scalars[q, 5] * ga[2] * gb[1] + scalars[q, 11] * ga[1] * gb[2],
+                        scalars[q, 7] * xx + scalars[q, 8] * yy + scalars[q, 2] * zz,
+                    )
+                    block += turn * local * wp.transpose(turn)
+                    if a < 4:
+                        # F⁻ᵀ G = Σ (N·G)/λ n
+                        stretch = wp.vec3d(stretches[q, 0], stretches[q, 1], stretches[q, 2])
+                        coupling_ba += (scalars[q, 12] * shape[q, a]) * (turn * wp.cw_div(gb, stretch))
+                        if b < 4:
+                            coupling_ab += (scalars[q, 12] * shape[q, b]) * (turn * wp.cw_div(ga, stretch))
+                            pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
+                scatter_pair(pattern, values, a, na, b, nb, block, coupling_ab, coupling_ba, pp)
+
+    return ogden_residual, ogden_tangent
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +475,8 @@ class Solids:
     Args:
         rest: Positions of all nodes [mm], (N, 3); nodes of a rigid surface may be among them.
         tets: (T, 10). quadrature: of the same tets, in mm.
-        law: (T, 3) constants c₁, c₂, c₃ [kPa]. kappa: (T,) bulk moduli [kPa].
+        law: (T, 3) constants c₁, c₂, c₃ [kPa] of the cubic law, or (T, 6) μ_k [kPa], α_k of Ogden's: one family for all tets, and
+            α = 2 is neo-Hookean. kappa: (T,) bulk moduli [kPa].
         fixed: Which displacement components are prescribed, (N, 3).
     """
 
@@ -330,14 +500,15 @@ class Solids:
         def array(data: object, dtype: object) -> wp.array:
             return wp.array(data, dtype=dtype, device=device)
 
-        self._residual, self._tangent = element_kernels(quadrature.weights.shape[1])
+        ogden = law.shape[1] == 2 * OGDEN_TERMS
+        self._residual, self._tangent = element_kernels(quadrature.weights.shape[1], "ogden" if ogden else "cubic")
         self._rest = array(rest, wp.vec3d)
         self.displacement = wp.zeros(self.node_count, dtype=wp.vec3d, device=device)
         self.pressure = wp.zeros(self.node_count, dtype=wp.float64, device=device)
         self._inputs = [
             array(tets, wp.int32), self.displacement, self.pressure, array(quadrature.gradients, wp.vec3d),
-            array(quadrature.weights, wp.float64), array(quadrature.pressure_shape, wp.float64), array(law, wp.vec3d),
-            array(kappa, wp.float64),
+            array(quadrature.weights, wp.float64), array(quadrature.pressure_shape, wp.float64),
+            array(law, OgdenConstants if ogden else wp.vec3d), array(kappa, wp.float64),
         ]  # fmt: skip
         self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
         self._element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)

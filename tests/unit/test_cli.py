@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterator
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
@@ -69,10 +71,13 @@ def test_every_field_is_a_flag_with_help() -> None:
     parser = Parser(prog="gelsim")
     add_scene_flags(parser)
     helps = {flag: action.help for action in parser._actions for flag in action.option_strings}
-    for section, kind in field_types(Scene).items():
-        names = [f"{section}.{name}" for name in field_types(kind)] if section not in ("fidelity", "seed") else [section]
-        for name in names:
-            assert "--" + name.replace("_", "-") in helps
+
+    def names(kind: type, above: str) -> Iterator[str]:
+        for name, inner in field_types(kind).items():
+            yield from names(inner, f"{above}{name}.") if is_dataclass(inner) else [f"{above}{name}"]  # type: ignore[arg-type]
+
+    for name in names(Scene, ""):
+        assert "--" + name.replace("_", "-") in helps
     undocumented = [flag for flag, text in helps.items() if flag.startswith("--object.") and not (text or "").split("(")[0].strip()]
     assert undocumented == []
 

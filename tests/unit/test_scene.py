@@ -136,8 +136,9 @@ def test_numbers_that_are_none_are_refused_in_every_field(wrong: float) -> None:
         layer: Any = {key: value}
         if sections == ["lights", "lights"]:
             layer = {"lights": {"lights": [layer]}}
-        elif sections:
-            layer = {sections[0]: layer}
+        else:
+            for section in reversed(sections):
+                layer = {section: layer}
         # A whole number is refused for its type, the others because they are not finite.
         with pytest.raises(SceneError, match=rf"{name} = {wrong}: expected a"):
             build_scene(layer)
