@@ -43,6 +43,6 @@ def test_failure_as_a_value(problem: PressProblem) -> None:
     assert press.status is not SolveStatus.CONVERGED and press.message
     assert states == [(i + 1, 5) for i in range(len(press.approach))]
     # what the bodies are left in is an equilibrium, the last recorded one or one half a step on, not where Newton gave up; its multipliers
-    # are the next step's already, which puts some micrometres of overlap times the penalty out of balance
-    assert problem.newton.residual(2.0).imbalance < 0.02
+    # are the next step's already, which puts some micrometres of overlap times the penalty out of balance: per cents
+    assert problem.newton.residual(2.0).imbalance < 0.1
     assert problem.support_force()[2] >= -press.force[-1, 2] * (1 - 100 * TOLERANCE)
