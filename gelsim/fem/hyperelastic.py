@@ -102,7 +102,10 @@ def expm1(x: wp.float64) -> wp.float64:
 
 @wp.func
 def principal_axes(s: wp.mat33d):
-    """Eigenvalues, and eigenvectors in columns, of a symmetric matrix: cyclic Jacobi rotations (Golub and Van Loan, §8.5)."""
+    """Eigenvalues, and eigenvectors in columns, of a symmetric matrix: cyclic Jacobi rotations (Golub and Van Loan, §8.5).
+
+    Only the upper triangle of `a` is kept up.
+    """
     a = s
     v = wp.identity(n=3, dtype=wp.float64)
     size = wp.ddot(a, a)
@@ -119,13 +122,20 @@ def principal_axes(s: wp.mat33d):
                 if theta < wp.float64(0.0):
                     t = -t
                 c = wp.float64(1.0) / wp.sqrt(t * t + wp.float64(1.0))
-                turn = wp.identity(n=3, dtype=wp.float64)
-                turn[p, p] = c
-                turn[q, q] = c
-                turn[p, q] = t * c
-                turn[q, p] = -t * c
-                v = v * turn
-                a = wp.transpose(turn) * a * turn
+                sine = t * c
+                r = 3 - p - q
+                a[p, p] = a[p, p] - t * a[p, q]
+                a[q, q] = a[q, q] + t * a[p, q]
+                a[p, q] = wp.float64(0.0)
+                rp = a[wp.min(r, p), wp.max(r, p)]
+                rq = a[wp.min(r, q), wp.max(r, q)]
+                a[wp.min(r, p), wp.max(r, p)] = c * rp - sine * rq
+                a[wp.min(r, q), wp.max(r, q)] = sine * rp + c * rq
+                for i in range(3):
+                    vp = v[i, p]
+                    vq = v[i, q]
+                    v[i, p] = c * vp - sine * vq
+                    v[i, q] = sine * vp + c * vq
     return wp.vec3d(a[0, 0], a[1, 1], a[2, 2]), v
 
 
