@@ -9,7 +9,7 @@ import pytest
 
 from gelsim import materials
 from gelsim.errors import MaterialError
-from gelsim.scene import Body, Gel, Scene
+from gelsim.scene import Body, Gel, LawConstants, Scene
 
 # The same equations, computed apart from this code and rounded to the decimals shown, in kPa.
 HERTZ_00 = {8: 39.79, 10: 43.83, 17: 60.20, 20: 68.47, 30: 103.40, 50: 236.71, 70: 650.09, 87: 2698.46}
@@ -79,3 +79,34 @@ def test_scene_materials() -> None:
     assert math.isclose(materials.gel_material(scene).youngs_modulus, 0.5 * materials.modulus_from_shore_00(17.0), rel_tol=1e-12)
     assert math.isclose(stiff.youngs_modulus, 80e3, rel_tol=1e-12)
     assert materials.object_material(scene.replace(object=replace(scene.object, rigid=True))) is None
+
+
+@pytest.mark.parametrize(
+    ("law", "constants", "shape"),
+    [
+        ("neo-hookean", LawConstants(), ()),
+        ("yeoh", LawConstants(c2_over_c1=0.1, c3_over_c1=-0.004), (0.1, -0.004)),
+        ("ogden", LawConstants(alpha=(2.6,)), (2.6, 1.0)),
+        # weights rounded to three digits are taken as shares of their sum
+        ("ogden", LawConstants(alpha=(2.0, -3.0, 5.0), weight=(0.333, 0.333, 0.333)), (2.0, 1 / 3, -3.0, 1 / 3, 5.0, 1 / 3)),
+    ],
+)
+def test_a_law_keeps_the_modulus_of_the_hardness(law: str, constants: LawConstants, shape: tuple[float, ...]) -> None:
+    material = materials.object_material(Scene(object=Body(shore_00=30.0, law=law, law_constants=constants)))
+    assert material is not None
+    assert material.constants == pytest.approx(shape, rel=1e-12)
+    # the identities of the test above
+    assert math.isclose(material.youngs_modulus, materials.modulus_from_shore_00(30.0), rel_tol=1e-12)
+
+
+@pytest.mark.parametrize(("second", "third"), [(0.13, -0.0047), (-0.5, 0.1), (0.0, 0.0)])
+def test_a_yeoh_law_that_holds(second: float, third: float) -> None:
+    """The stiffest curve of silicones in docs/physics.md, a dip that stays above zero (1 - 2·0.5 e + 0.3 e² ≥ 1/6), and neo-Hooke."""
+    materials.law_shape("yeoh", LawConstants(c2_over_c1=second, c3_over_c1=third))
+
+
+@pytest.mark.parametrize(("second", "third"), [(-0.5, 0.05), (-0.06, 0.0), (0.0, -0.01)])
+def test_a_yeoh_law_that_gives_way(second: float, third: float) -> None:
+    # 1 + 2 r e + 3 s e²: -2/3 at e = 10/3; -0.2 at 10; -2 at 10
+    with pytest.raises(MaterialError, match="gives way"):
+        materials.law_shape("yeoh", LawConstants(c2_over_c1=second, c3_over_c1=third))

@@ -12,7 +12,7 @@ from typing import Any, get_args, get_origin
 import pytest
 
 from gelsim.errors import MaterialError, SceneError
-from gelsim.scene import LIMITS, Body, Gel, Press, Scene, field_types
+from gelsim.scene import LIMITS, Body, Gel, LawConstants, Press, Scene, field_types
 from gelsim.scene_file import build_scene, dump_scene, load_scene, preset_names
 
 
@@ -49,6 +49,18 @@ def test_hardness_given_last_displaces_the_others() -> None:
     scene = build_scene({"object": {"shore_00": 20}, "gel": {"youngs_modulus_kpa": 50}}, {"object": {"shore_a": 45}})
     assert (scene.object.shore_00, scene.object.shore_a) == (None, 45.0)
     assert (scene.gel.shore_00, scene.gel.youngs_modulus_kpa) == (None, 50.0)  # the preset's 00-17 lies below
+
+
+def test_constants_of_a_law() -> None:
+    file = {"object": {"law": "yeoh", "law_constants": {"c2_over_c1": 0.05, "c3_over_c1": 0.002}}}
+    constants = build_scene(file, {"object": {"law_constants": {"c2_over_c1": 0.1}}}).object.law_constants
+    assert (constants.c2_over_c1, constants.c3_over_c1) == (0.1, 0.002)
+    # another law has no use for them, the same one keeps them
+    assert build_scene(file, {"object": {"law": "neo-hookean"}}).object.law_constants == LawConstants()
+    assert build_scene(file, {"object": {"law": "yeoh"}}) == build_scene(file)
+    ogden = build_scene(file, {"object": {"law": "ogden", "law_constants": {"alpha": [2.6]}}})
+    assert ogden.object.law_constants == LawConstants(alpha=(2.6,))
+    assert build_scene(tomllib.loads(dump_scene(ogden))) == ogden
 
 
 def test_preset_fills_and_file_overrides(tmp_path: Path) -> None:
@@ -108,6 +120,26 @@ BAD = {
     "light without direction": ("[[lights.lights]]\ndirection = [0, 0, 0]", "lights.lights 'light': direction = 0 0 0 points nowhere"),
     "camera in the window": ("[camera]\ndistance_mm = 5", "camera.distance_mm = 5 mm: the camera stands behind window and gel"),
     "law": ('[object]\nlaw = "neohookean"', "did you mean 'neo-hookean'"),
+    "law without constants": ('[object]\nlaw = "yeoh"', "object.law_constants.c2_over_c1 is missing"),
+    "law without one constant": (
+        '[object]\nlaw = "yeoh"\nlaw_constants = {c2_over_c1 = 0.1}',
+        "object.law_constants.c3_over_c1 is missing",
+    ),
+    "no exponent": ('[object]\nlaw = "ogden"', "object.law_constants.alpha is missing"),
+    "unknown constant": ('[object]\nlaw = "yeoh"\nlaw_constants = {c2_by_c1 = 0.1}', "did you mean 'c2_over_c1'"),
+    "constant of another law": ("[object]\nlaw_constants = {alpha = [3]}", 'alpha is a constant of law = "ogden", but law = "neo-hookean"'),
+    "constants that are none": ("[object]\nlaw_constants = 3", "object.law_constants = 3: expected a table"),
+    "exponent zero": ('[object]\nlaw = "ogden"\nlaw_constants = {alpha = [0.01]}', "object.law_constants.alpha = 0.01: its size must"),
+    "exponent too large": ('[object]\nlaw = "ogden"\nlaw_constants = {alpha = [99]}', "object.law_constants.alpha = 99: allowed is -25"),
+    "weights missing": ('[object]\nlaw = "ogden"\nlaw_constants = {alpha = [2, 3]}', "object.law_constants.weight is missing"),
+    "weights of another sum": (
+        '[object]\nlaw = "ogden"\nlaw_constants = {alpha = [2, 3], weight = [0.5, 0.4]}',
+        "object.law_constants.weight sums to 0.9",
+    ),
+    "law that gives way": (
+        '[object]\nlaw = "yeoh"\nlaw_constants = {c2_over_c1 = -0.3, c3_over_c1 = 0.01}',
+        "object.law_constants.c2_over_c1 = -0.3: the law gives way",
+    ),
 }
 
 
