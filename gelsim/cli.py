@@ -64,6 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
             result = options.run(options)
             if wants_json:
                 answer(result)
+            sys.stdout.flush()
             return OK
         except SolveError as error:
             return _fail(error, NUMERICS, debug, answer if wants_json else None)
@@ -72,6 +73,10 @@ def main(arguments: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             print("gelsim: interrupted", file=sys.stderr)
             return INTERRUPTED
+        except BrokenPipeError:
+            # Whoever read the output has seen enough; Python would complain once more when it flushes at its end.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            return OK
         except Exception as error:
             hint = f"internal error, {type(error).__name__}: {error} (a bug; run again with --debug for the trace)"
             return _fail(error, INTERNAL, debug, answer if wants_json else None, hint)
@@ -250,7 +255,10 @@ def _clean_stdout(wanted: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
         os.dup2(kept, 1)
         os.close(kept)
         for result in answers:
-            print(json.dumps(result, allow_nan=False))
+            try:
+                print(json.dumps(result, allow_nan=False), flush=True)
+            except BrokenPipeError:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def _fail(error: Exception, code: int, debug: bool, answer: Callable[[dict[str, Any]], None] | None, message: str | None = None) -> int:

@@ -16,7 +16,7 @@ PACKAGES = (
     "gelsim", "numpy", "scipy", "warp-lang", "mitsuba", "drjit", "pytetwild", "pyvista", "mkl", "trimesh", "manifold3d", "OpenEXR",
     "colour-science", "matplotlib", "imageio-ffmpeg", "torch",
 )  # fmt: skip
-OPTIONAL = {"torch": "learning: pip install -e .[learn]", "mkl": "a faster linear solver, x86-64 only: pip install mkl"}
+OPTIONAL = {"torch": "only learning needs it: pip install -e .[learn]"}
 
 LIST_WARP_DEVICES = "import warp; warp.init(); print(', '.join(f'{device.alias}: {device.name}' for device in warp.get_devices()))"
 
@@ -26,7 +26,7 @@ def examine() -> dict[str, Any]:
     advice: list[str] = []
     packages = {name: _version(name) for name in PACKAGES}
     for name, version in packages.items():
-        if version is None and name != "gelsim":
+        if version is None and name not in ("gelsim", "mkl"):
             advice.append(f"{name} is not installed ({OPTIONAL.get(name, 'needed: pip install -c constraints.txt -e .')})")
     rendering, warp, solver = _rendering(advice), _warp(advice), _solver(advice)
     return {
@@ -51,13 +51,21 @@ def describe(facts: dict[str, Any]) -> str:
             continue
         if key == "packages":
             value = ", ".join(f"{name} {version or 'MISSING'}" for name, version in value.items())
-        elif isinstance(value, dict):
-            value = "; ".join(f"{name.replace('_', ' ')}: {item}" for name, item in value.items())
-        elif isinstance(value, list):
-            value = ", ".join(value)
-        lines.append(f"{key.replace('_', ' '):<14} {value}")
+        if isinstance(value, dict):
+            items = [f"{name.replace('_', ' ')}: {_words(item)}" for name, item in value.items()]
+            lines += [f"{key.replace('_', ' ') if item is items[0] else '':<14} {item}" for item in items]
+        else:
+            lines.append(f"{key.replace('_', ' '):<14} {_words(value)}")
     lines += [f"for more:      {text}" for text in facts["advice"]] or ["nothing to add: everything that gelsim can use is here"]
     return "\n".join(lines)
+
+
+def _words(value: object) -> str:
+    if value is None or value == []:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _version(name: str) -> str | None:
@@ -71,23 +79,27 @@ def _rendering(advice: list[str]) -> dict[str, Any]:
     from gelsim import optics
     from gelsim.optics.variant import llvm_libraries
 
-    facts: dict[str, Any] = {"libLLVM_found": llvm_libraries()}
+    facts: dict[str, Any] = {}
     try:
-        choice = optics.choose_variant("auto")
-        facts |= {"variant": choice.name, "reason": choice.reason, "libLLVM_used": choice.llvm_path}
-        cpu = optics.choose_variant("cpu")
-        facts["on_cpu"] = cpu.name
+        choice, cpu = optics.choose_variant("auto"), optics.choose_variant("cpu")
+        facts |= {"variant": choice.name, "why": choice.reason, "on_the_CPU": cpu.name}
     except (GelsimError, ImportError) as error:
-        return facts | {"variant": None, "reason": str(error)}
+        return {"variant": None, "why": str(error)}
     try:
         optics.choose_variant("cuda")
-        facts["cuda_and_optix"] = "work"
+        facts["CUDA"] = "works"
     except GelsimError as error:
-        facts["cuda_and_optix"] = str(error)
+        facts["CUDA"] = str(error)
+    facts["libLLVM_on_this_machine"] = llvm_libraries()
     if cpu.name.startswith("scalar"):
+        setting = os.environ.get("DRJIT_LIBLLVM_PATH")
         advice.append(
-            "rendering on the CPU is about three times faster with LLVM 16 or later: apt install libllvm19 (or brew install llvm), "
-            "or name the library in DRJIT_LIBLLVM_PATH"
+            "rendering on the CPU is about three times faster with LLVM 16 or later: "
+            + (
+                f"DRJIT_LIBLLVM_PATH = {setting} is of no use, unset it or let it name such a library"
+                if setting
+                else "apt install libllvm19 (macOS: brew install llvm), or name the library in DRJIT_LIBLLVM_PATH"
+            )
         )
     return facts
 
@@ -97,10 +109,10 @@ def _warp(advice: list[str]) -> dict[str, Any]:
     child = subprocess.run([sys.executable, "-c", LIST_WARP_DEVICES], capture_output=True, text=True)
     if child.returncode:
         lines = child.stderr.strip().splitlines()
-        return {"devices": "none", "reason": lines[-1] if lines else f"Warp ended with exit code {child.returncode}"}
+        return {"Warp_devices": None, "why": lines[-1] if lines else f"Warp ended with exit code {child.returncode}"}
     devices = child.stdout.strip().splitlines()[-1]
     if "cuda" not in devices:
-        advice.append("the mechanics run on the CPU; with an NVIDIA GPU and its driver --device cuda would work")
+        advice.append("no NVIDIA GPU with its driver: --device cuda is not possible here")
     return {"Warp_devices": devices}
 
 
@@ -108,7 +120,7 @@ def _solver(advice: list[str]) -> str:
     from gelsim.fem.linear import make_solver
 
     name = make_solver().name
-    if "PARDISO" not in name:
+    if "PARDISO" not in name and platform.machine().lower() in ("x86_64", "amd64"):
         advice.append("the linear solver is several times faster with Intel MKL (x86-64): pip install mkl")
     return name
 
