@@ -14,7 +14,8 @@ from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids, build_pattern
 from gelsim.fem.elements import tet_quadrature_data
 from gelsim.fem.linear import make_solver
-from gelsim.fem.quasistatic import PressProblem, isochoric_constants, run_press
+from gelsim.fem.problem import PressProblem, isochoric_constants
+from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror, mirror_surface, outer_faces, quadratic_tets, tet_volumes
 from gelsim.materials import ElasticMaterial
 from gelsim.results import Deformation

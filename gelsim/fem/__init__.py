@@ -37,7 +37,8 @@ def solve_press(
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    from gelsim.fem.quasistatic import PressProblem, run_press
+    from gelsim.fem.problem import PressProblem
+    from gelsim.fem.quasistatic import run_press
 
     name = "cuda:0" if device == "cuda" else "cpu"
     problem = PressProblem(scene, gel, body, placement, gel_material, object_material, name)

@@ -119,8 +119,9 @@ class SurfaceContact:
     def frictional(self) -> bool:
         return self.law.friction != 0.0
 
-    def _stencil(self) -> list[object]:
-        return [self.slave, self.shape, self.points]
+    def _launch(self, kernel: wp.Kernel, *inputs: object) -> None:
+        """One thread a quadrature point; every kernel begins with the gel's faces and their shape functions."""
+        wp.launch(kernel, len(self.rest_weight), [self.slave, self.shape, self.points, *inputs], device=self.device)
 
     def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
         """Closest points and gaps of all quadrature points within `reach` [mm] for positions x.
@@ -129,49 +130,37 @@ class SurfaceContact:
         """
         self.mesh.points.assign(x.numpy()[self.used].astype(np.float32))
         self.mesh.refit()
-        wp.launch(
-            closest_points, len(self.rest_weight),
-            [x, *self._stencil(), self.mesh.id, self.master, self.corners, reach, 1e3 if freeze else OVERHANG, self.face, self.xi, self.normal, self.gap],
-            device=self.device,
-        )  # fmt: skip
+        overhang = 1e3 if freeze else OVERHANG
+        self._launch(
+            closest_points, x, self.mesh.id, self.master, self.corners, reach, overhang, self.face, self.xi, self.normal, self.gap
+        )
+
+    def _normal_inputs(self) -> list[object]:
+        """What the kernels of normal contact share."""
+        pairing = [self.weight, self.master, self.face, self.xi, self.normal, self.gap]
+        return [*pairing, self.multiplier, self.stiffness, self.law.smoothing]
+
+    def _friction_inputs(self) -> list[object]:
+        """What the kernels of friction share."""
+        pairing = [self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi]
+        return [*pairing, self.shift, self.law.friction, self.stick]
 
     def add_force(self, x: wp.array, force: wp.array) -> None:
         """Adds ∂φ/∂u of the contact and friction of the last `update` to `force`."""
-        law = self.law
-        wp.launch(
-            contact_force, len(self.rest_weight),
-            [*self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, self.multiplier, self.stiffness, law.smoothing,
-             self.pressure, force],
-            device=self.device,
-        )  # fmt: skip
+        self._launch(contact_force, *self._normal_inputs(), self.pressure, force)
         if self.frictional:
-            wp.launch(
-                friction_force, len(self.rest_weight),
-                [x, *self._stencil(), self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi,
-                 self.shift, law.friction, self.stick, self.traction, force],
-                device=self.device,
-            )  # fmt: skip
+            self._launch(friction_force, x, *self._friction_inputs(), self.traction, force)
 
     def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array, geometric: bool) -> bool:
         """Adds the Hessian; False where the pattern lacks a pair (then build a new one from `node_pairs`).
 
-        Without `geometric` only its positive part p' ∇g ∇gᵀ: far from equilibrium the pressures of a wrong overlap would make the rest indefinite.
+        Without `geometric` only its positive part p' ∇g ∇gᵀ, and the secant of friction: far from equilibrium the pressures of a wrong
+        overlap would make the rest indefinite.
         """
-        law = self.law
         self.missing.zero_()
-        wp.launch(
-            contact_tangent, len(self.rest_weight),
-            [x, *self._stencil(), self.weight, self.master, self.face, self.xi, self.normal, self.gap, self.multiplier, self.stiffness, law.smoothing,
-             1.0 if geometric else 0.0, pattern, values, self.missing],
-            device=self.device,
-        )  # fmt: skip
+        self._launch(contact_tangent, x, *self._normal_inputs(), 1.0 if geometric else 0.0, pattern, values, self.missing)
         if self.frictional:
-            wp.launch(
-                friction_tangent, len(self.rest_weight),
-                [x, *self._stencil(), self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi,
-                 self.shift, law.friction, self.stick, 0.0 if geometric else 1.0, pattern, values, self.missing],
-                device=self.device,
-            )  # fmt: skip
+            self._launch(friction_tangent, x, *self._friction_inputs(), 0.0 if geometric else 1.0, pattern, values, self.missing)
         return int(self.missing.numpy()[0]) == 0
 
     def slip_coupling(self, equation: NDArray[np.int32], unknowns: int) -> tuple[sp.csr_matrix, sp.csr_matrix] | None:
@@ -242,6 +231,13 @@ class SurfaceContact:
         self.anchor_face.assign(history[0])
         self.anchor_xi.assign(history[1])
         self.set_multipliers(history[2])
+        self.face.fill_(-1)  # pairs found on the way to a failure are no guide
+
+    def forget(self) -> None:
+        """No history, no multipliers, no pairs: as it was made."""
+        self.anchor_face.fill_(-1)
+        self.face.fill_(-1)
+        self.set_multipliers(np.zeros_like(self.multipliers))
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (gel, object) that contact may couple: of faces closer than `margin` [mm], and of the object faces around those."""

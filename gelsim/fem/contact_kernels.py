@@ -100,7 +100,7 @@ def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), faces: wp.arra
 
 @wp.kernel(enable_backward=False)
 def closest_points(
-    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
     mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), reach: wp.float32,
     overhang: wp.float64, face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
     gap: wp.array(dtype=wp.float64),
@@ -181,7 +181,7 @@ def slip_trial(x: wp.array(dtype=wp.vec3d), position: wp.vec3d, master: wp.array
 
 @wp.kernel(enable_backward=False)
 def friction_force(
-    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
     shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stiffness: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d),
@@ -218,7 +218,7 @@ def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), 
 
 @wp.kernel(enable_backward=False)
 def contact_tangent(
-    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64),
     stiffness: wp.array(dtype=wp.float64), eps: wp.float64, geometric: wp.float64,
@@ -293,7 +293,7 @@ def contact_tangent(
 
 @wp.kernel(enable_backward=False)
 def friction_tangent(
-    x: wp.array(dtype=wp.vec3d), slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32,
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
     shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stick: wp.array(dtype=wp.float64), secant: wp.float64,

@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 def tet_quadrature(points: int) -> tuple[Array, Array]:
     """Barycentric points (Q, 4) and weights (Q,) that sum to 1/6 (the reference volume).
 
-    4 points integrate quadratics exactly, which is the stiffness of a straight linear-elastic ten-node tet; 11 (Keast 1986) integrate quartics.
+    4 points integrate quadratics exactly, which is the stiffness of a straight linear-elastic ten-node tet; 11 (Keast 1986) integrate
+    quartics.
     """
     if points == 4:
         a, b = 0.5854101966249685, 0.1381966011250105

@@ -1,12 +1,13 @@
 """How wrong a press is, from the press alone: jumps of the stress between elements.
 
-Zienkiewicz and Zhu (1987): the deviatoric Kirchhoff stress τ = μ dev b̄ of a finite-element solution jumps from element to element; averaged at
-the vertices it becomes a continuous field τ* that is closer to the truth, and
+Zienkiewicz and Zhu (1987): the deviatoric Kirchhoff stress τ = μ dev b̄ of a finite-element solution jumps from element to element;
+averaged at the vertices it becomes a continuous field τ* that is closer to the truth, and
 
     η² = Σ ∫ |τ* - τ|²/(2μ) dV  /  Σ ∫ |τ|²/(2μ) dV
 
-estimates the squared relative error in energy. In a displacement-driven press the force follows the energy, so its relative error is proportional
-to η², not η; the factor is measured against converged solutions (docs/validation.md). Left out: error of the pressure field and of the load steps.
+estimates the squared relative error in energy. In a displacement-driven press the force follows the energy, so its relative error is
+proportional to η², not η; the factor is measured against converged solutions (docs/validation.md). Left out: error of the pressure field
+and of the load steps.
 """
 
 from __future__ import annotations

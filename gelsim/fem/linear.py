@@ -28,7 +28,8 @@ _MTYPE_SYMMETRIC_INDEFINITE = -2
 def find_mkl() -> str | None:
     """Path or name of MKL's single dynamic library, or None."""
     for prefix in (sys.prefix, site.USER_BASE or sys.prefix):
-        for path in sorted(glob.glob(os.path.join(prefix, "lib", "libmkl_rt*")) + glob.glob(os.path.join(prefix, "Library", "bin", "mkl_rt*.dll"))):
+        places = ("lib", "libmkl_rt*"), ("Library", "bin", "mkl_rt*.dll")
+        for path in sorted(path for place in places for path in glob.glob(os.path.join(prefix, *place))):
             return path
     return find_library("mkl_rt")
 
@@ -55,7 +56,8 @@ class PardisoSolver:
         self._iparm[1] = 2  # METIS nested dissection
         self._iparm[7] = 0  # no iterative refinement unless a pivot was perturbed: Newton and GMRES refine
         self._iparm[9] = 10  # pivots under 1e-10 of the norm are perturbed
-        # No matching, no scaling, plain pivots: with -C < 0 the matrix is quasi-definite and has an LDLᵀ in any order (Vanderbei 1995). Costs a third less.
+        # No matching, no scaling, plain pivots: with -C < 0 the matrix is quasi-definite and has an LDLᵀ in any order (Vanderbei 1995).
+        # Costs a third less.
         self._iparm[34] = 1  # 0-based indices
         self._analysed = False
 
@@ -164,7 +166,7 @@ class SymmetricSystem:
             self.solves += 1
             return v + self.direct.solve(along.T @ (closing @ v))
 
-        operator = LinearOperator((len(b), len(b)), matvec=product)
+        operator = LinearOperator((len(b), len(b)), matvec=product)  # type: ignore[call-arg]
         return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]
 
 

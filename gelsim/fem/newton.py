@@ -101,10 +101,10 @@ class Newton:
         raise AssertionError("the pattern made from the present contact does not hold it")
 
     def _line_search(self, step: Array, residual: Residual, reach: float, freeze: bool) -> tuple[Residual | None, float]:
-        """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the full step, or a root by regula falsi.
+        """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the end, or a root by regula falsi.
 
-        The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are far
-        from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end.
+        The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are
+        far from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end.
         """
         start = self.solids.state()
         moving = step * self.displacement_unknown
@@ -135,7 +135,10 @@ class Newton:
         return trial, fraction
 
     def solve(self, reach: float, tolerance: float | None = None) -> NewtonReport:
-        """Iterates from the solids' present state, in place, to `tolerance` (default: the options'). `reach` [mm] bounds the search for contact."""
+        """Iterates from the solids' present state, in place, to `tolerance` (default: the options').
+
+        `reach` [mm] bounds the search for contact.
+        """
         goal = tolerance or self.options.tolerance
         options, solids, contact = self.options, self.solids, self.contact
         residual = self.residual(reach)

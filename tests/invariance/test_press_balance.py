@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fem_fixtures import MILLI, TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene
 
-from gelsim.fem.quasistatic import PressProblem
+from gelsim.fem.problem import PressProblem
 
 # Newton ends when no node is out of balance by more than `tolerance` of the largest nodal contact force; a hundred nodes on a face add up.
 BALANCE = 100 * TOLERANCE

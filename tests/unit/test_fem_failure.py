@@ -8,7 +8,8 @@ from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_
 
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem import quasistatic
-from gelsim.fem.quasistatic import PressProblem, run_press
+from gelsim.fem.problem import PressProblem
+from gelsim.fem.quasistatic import run_press
 from gelsim.results import Deformation
 
 

@@ -1,0 +1,124 @@
+"""A scene made ready for Newton: one numbering for both bodies, their supports, materials and contact, in solver units.
+
+The gel is bonded to its window, the object's base to its platen; a node on a mirror plane stays on it. Of a rigid object every node is
+driven.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.fem.assembly import Solids
+from gelsim.fem.contact import ContactLaw, SurfaceContact
+from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.newton import Newton, NewtonOptions
+from gelsim.geometry import QuadraticSurface, TetMesh
+from gelsim.materials import OGDEN_TERMS, ElasticMaterial
+from gelsim.scene import Scene
+
+Array = NDArray[np.float64]
+MM = 1e3  # solver lengths are millimetres
+KPA = 1e-3
+MILLINEWTON = 1e-3  # N per solver force unit
+
+# k·h of the contact penalty over E of the softest body, and its smoothing: 100 makes the pressure ripple, 10 costs augmentations.
+PENALTY_PER_MODULUS = 30.0
+PENALTY_SMOOTHING_MM = 5e-4
+STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
+TOLERANCES = {"fast": 3e-4, "balanced": 1e-4, "reference": 1e-6}  # imbalance left by Newton; a force is off by a fraction of it
+
+
+class PressProblem:
+    """A scene made ready for Newton: numbering, supports, materials, contact."""
+
+    def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
+                 gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *, tet_points: int = 4,
+                 contact_points: int = 6, tolerance: float | None = None) -> None:  # fmt: skip
+        self.scene, self.gel, self.body = scene, gel, body
+        rotation, translation = placement
+        gel_rest = gel.rest_positions * MM
+        n = len(gel_rest)
+        if isinstance(body, TetMesh):
+            nodes, object_faces = body.rest_positions, body.groups["contact"]
+        else:
+            nodes, object_faces = body.nodes, body.faces
+        object_rest = (nodes @ np.asarray(rotation).T + np.asarray(translation)) * MM
+        rest = np.concatenate([gel_rest, object_rest])
+        self.object_nodes = np.arange(n, len(rest))
+        fixed = np.zeros((len(rest), 3), bool)
+        fixed[gel.groups["bonded"]] = True
+        for axis, column in (("x", 0), ("y", 1)):
+            if axis in gel.symmetry:
+                fixed[:, column] |= np.abs(rest[:, column]) < 1e-9
+        meshes = [(gel, gel_material, 0)]
+        if isinstance(body, TetMesh):
+            assert object_material is not None
+            self.driven = n + np.unique(body.groups["base"])
+            meshes.append((body, object_material, n))
+        else:
+            self.driven = self.object_nodes
+        fixed[self.driven] = True
+
+        parts = []
+        ogden = any(material.law == "ogden" for _, material, _ in meshes)
+        for mesh, material, shift in meshes:
+            data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), tet_points)
+            count = len(mesh.tets)
+            law = np.tile(isochoric_constants(material, ogden), (count, 1))
+            parts.append((mesh.tets + shift, data, law, np.full(count, material.kappa * KPA)))
+        data = parts[0][1]
+        if len(parts) > 1:
+            data = type(data)(*(np.concatenate([getattr(p[1], f) for p in parts]) for f in ("gradients", "weights")), data.pressure_shape)
+        tets, law, kappa = (np.concatenate([p[i] for p in parts]) for i in (0, 2, 3))
+        self.solids = Solids(rest, tets.astype(np.int32), data, law, kappa, fixed, device)
+        self.quadrature = data
+        self.shear = np.concatenate([np.full(len(mesh.tets), material.mu * KPA) for mesh, material, _ in meshes])
+        softest = min(m.youngs_modulus for _, m, _ in meshes) * KPA
+        stiffness = PENALTY_PER_MODULUS * softest
+        mu = scene.contact.friction_coefficient
+        friction = -1.0 if mu == "stick" else float(mu)
+        self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
+        faces = (object_faces + n).astype(np.int32)
+        self.contact = SurfaceContact(gel.groups["coated"], faces, rest, self.law, device, contact_points, gel.symmetry)
+        self.newton = Newton(self.solids, self.contact, NewtonOptions(tolerance or TOLERANCES[scene.fidelity]))
+        self.copies = 2 ** len(gel.symmetry)
+
+    def reset(self) -> None:
+        """Back to rest, with nothing remembered of contact."""
+        self.solids.set_state((np.zeros_like(self.solids.rest), np.zeros(self.solids.node_count)))
+        self.contact.forget()
+
+    def contact_force(self) -> Array:
+        """Force on the gel by the object [N], the whole body's."""
+        c = self.contact
+        local = c.pressure.numpy()[:, None] * c.normal.numpy() + (c.traction.numpy() if c.frictional else 0.0)
+        force = (c.rest_weight[:, None] * np.where(c.pressure.numpy()[:, None] > 0, local, 0.0)).sum(0) * self.copies
+        return self._across_planes(force)
+
+    def support_force(self) -> Array:
+        """Reaction [N] of the window on the gel, for the force balance: equal and opposite to `contact_force` at equilibrium."""
+        internal, _, _ = self.solids.internal_force()
+        force = internal[np.unique(self.gel.groups["bonded"])].sum(0) * self.copies
+        return self._across_planes(force)
+
+    def _across_planes(self, force: Array) -> Array:
+        """Newton [N] of the whole body: of a part between mirror planes, components across them cancel."""
+        for axis, column in (("x", 0), ("y", 1)):
+            if axis in self.gel.symmetry:
+                force[column] = 0.0
+        return force * MILLINEWTON
+
+
+def isochoric_constants(material: ElasticMaterial, ogden: bool = False) -> Array:
+    """The constants [kPa] that `Solids` takes: (c₁, c₂, c₃), or of an Ogden law (μ₁, α₁, …), padded with terms of μ = 0.
+
+    `ogden`: in Ogden's form whatever the law, for a neo-Hookean solid beside one of Ogden's; α = 2 is the same law.
+    """
+    if material.law == "ogden" or ogden:
+        assert material.law != "yeoh", "a cubic has no Ogden form"
+        alpha, weight = np.reshape(material.constants, (-1, 2)).T if material.law == "ogden" else ([2.0], [1.0])
+        constants = np.tile([0.0, 2.0], OGDEN_TERMS)
+        constants[: 2 * len(alpha)] = np.column_stack([material.mu * KPA * np.asarray(weight), alpha]).ravel()
+        return constants
+    return material.mu / 2 * KPA * np.array([1.0, *(material.constants or (0.0, 0.0))])

@@ -1,0 +1,145 @@
+"""What a press leaves behind: its states as they are found, and from them the `Deformation` of the whole body."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.errors import SolveStatus
+from gelsim.fem.elements import tri6_gradient, triangle_quadrature
+from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, stress_jump
+from gelsim.fem.problem import KPA, MM, PressProblem
+from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
+from gelsim.results import Deformation, SurfaceMotion
+
+Array = NDArray[np.float64]
+
+# Pressure, as a share of the largest, from which a point counts as in contact: the linear multipliers smear a little load over the rim's
+# last faces. Hertz's pressure falls below 5 % only in the outer 0.13 % of the radius.
+AREA_THRESHOLD = 0.05
+
+
+class Recorder:
+    """Keeps the states of a press."""
+
+    def __init__(self, problem: PressProblem) -> None:
+        self.problem = problem
+        self.approach: list[float] = []
+        self._numbers: dict[str, list[float]] = {}
+        self._force: list[Array] = []
+        self._pressure: list[Array] = []
+        self._displacement: list[Array] = []
+        self._clock = time.perf_counter()
+
+    def keep(self, approach: float, newton_iterations: int, factorisations: int) -> None:
+        """Records the present state, at an approach [m]; the counts are since the last one."""
+        problem = self.problem
+        now = time.perf_counter()
+        area, pressure = _area_and_pressure(problem)
+        self.approach.append(approach)
+        self._force.append(problem.contact_force())
+        self._pressure.append(pressure)
+        self._displacement.append(problem.solids.displacement.numpy() / MM)
+        numbers = {
+            "contact_area": area,
+            "min_jacobian": problem.solids.internal_force()[2],
+            "penetration": max(0.0, -float(problem.contact.gap.numpy().min())) / MM,
+            "newton_iterations": newton_iterations,
+            "linear_iterations": factorisations,
+            "seconds": now - self._clock,
+        }
+        for name, value in numbers.items():
+            self._numbers.setdefault(name, []).append(value)
+        self._clock = now
+
+    def deformation(self, status: SolveStatus, message: str, steps_halved: int) -> Deformation:
+        """Everything kept so far, reflected to the whole body."""
+        problem = self.problem
+        gel, body, system = problem.gel, problem.body, problem.newton.system
+        everything = np.array(self._displacement)
+        coated = np.unique(gel.groups["coated"])
+        pressure = np.array(self._pressure)[:, coated]
+        gel_motion, pressure = _whole(gel.surface("coated"), everything[:, coated], pressure, gel.symmetry)
+        if isinstance(body, TetMesh):
+            used, local = np.unique(body.groups["contact"]), body.surface("contact")
+        else:
+            used, local = np.arange(len(body.nodes)), body
+        nodes = problem.object_nodes[used]
+        placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
+        object_motion, _ = _whole(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
+        # of the last state kept: after a failure the solids hold that one again
+        jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM)
+        numbers = {name: np.array(values) for name, values in self._numbers.items()}
+        for name in ("newton_iterations", "linear_iterations"):
+            numbers[name] = numbers[name].astype(np.int32)
+        return Deformation(
+            approach=np.array(self.approach),
+            force=np.array(self._force),
+            contact_pressure=pressure,
+            gel=gel_motion,
+            object=object_motion,
+            converged=np.ones(len(everything), bool),
+            status=status,
+            message=message,
+            info={
+                "unknowns": problem.solids.unknowns,
+                "steps_halved": steps_halved,
+                "symmetry": sorted(gel.symmetry),
+                "rigid_object": not isinstance(body, TetMesh),
+                "linear_solver": system.direct.name,
+                "factorisations": system.factorisations,
+                "solves": system.solves,
+                "stress_jump": jump,
+                "error_estimate": {"force": FORCE_ERROR_PER_JUMP * jump},
+            },
+            **numbers,
+        )
+
+
+def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
+    """Area in contact [m²] of the whole body, and pressure [Pa] at all nodes (zero off the coated face)."""
+    contact, solids = problem.contact, problem.solids
+    bary, rule = triangle_quadrature(contact.points)
+    x = solids.rest + solids.displacement.numpy()
+    tangents = np.einsum("fni,qnj->fqij", x[contact.gel_faces], tri6_gradient(bary))
+    current = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1) * rule
+    pressure = contact.pressure.numpy()
+    area = current.ravel()[pressure > AREA_THRESHOLD * pressure.max()].sum() * problem.copies / MM**2
+    hats = _hats(bary)
+    weight = contact.rest_weight.reshape(len(contact.gel_faces), -1)
+    top = np.einsum("fq,qa->fa", weight * pressure.reshape(weight.shape), hats)
+    bottom = np.einsum("fq,qa->fa", weight, hats)
+    total = np.bincount(contact.gel_faces.ravel(), bottom.ravel(), solids.node_count)
+    mean = np.bincount(contact.gel_faces.ravel(), top.ravel(), solids.node_count) / np.where(total > 0, total, 1.0)
+    return float(area), mean / KPA
+
+
+def _hats(bary: Array) -> Array:
+    """Piecewise linear hat functions of the four sub-triangles of a six-node face, (Q, 6): positive weights to average with."""
+    values = np.zeros((len(bary), 6))
+    for q, b in enumerate(bary):
+        corner = int(np.argmax(b))
+        if b[corner] >= 0.5:
+            others = [(corner + 1) % 3, (corner + 2) % 3]
+            values[q, corner] = 2 * b[corner] - 1
+            for o in others:
+                values[q, 3 + {(0, 1): 0, (1, 2): 1, (0, 2): 2}[(min(corner, o), max(corner, o))]] = 2 * b[o]
+        else:
+            values[q, 3:] = [1 - 2 * b[2], 1 - 2 * b[0], 1 - 2 * b[1]]
+    return values
+
+
+def _whole(surface: QuadraticSurface, displacement: Array, scalar: Array, symmetry: frozenset[str]) -> tuple[SurfaceMotion, Array]:
+    """A surface with its displacement (N, G, 3) and a scalar field (N, G), reflected at the symmetry planes."""
+    for axis in sorted(symmetry):
+        column = "xy".index(axis)
+        image = np.flatnonzero(np.abs(surface.nodes[:, column]) > 0)
+        flipped = displacement[:, image].copy()
+        flipped[..., column] *= -1
+        displacement = np.concatenate([displacement, flipped], axis=1)
+        scalar = np.concatenate([scalar, scalar[:, image]], axis=1)
+        surface = mirror_surface(surface, axis)
+        assert len(surface.nodes) == displacement.shape[1]
+    return SurfaceMotion(surface.nodes, split_faces(surface.faces), displacement, surface.faces), scalar
