@@ -62,7 +62,8 @@ def isochoric_energy(f: Array, law: Array) -> Array:
     """Ŵ [kPa] of a deformation gradient (3, 3): Σ_k c_k (Ī₁ - 3)^k of three constants, Ogden's of six, (μ₁, α₁, μ₂, α₂, μ₃, α₃)."""
     j = np.linalg.det(f)
     if len(law) == 6:
-        return sum(2 * mu / a**2 * (j ** (-a / 3) * np.trace(power(f.T @ f, a / 2)) - 3) for mu, a in law.reshape(3, 2) if mu)
+        terms = [2 * mu / a**2 * (j ** (-a / 3) * np.trace(power(f.T @ f, a / 2)) - 3) for mu, a in law.reshape(3, 2) if mu]
+        return np.sum(terms)
     excess = j ** (-2 / 3) * (f * f).sum() - 3
     return law[0] * excess + law[1] * excess**2 + law[2] * excess**3
 

@@ -188,7 +188,8 @@ def nominal_stress(stretch: float, material: ElasticMaterial) -> tuple[float, fl
         j = stretches.prod()
         return stress(j ** (-1 / 3) * stretches) + kappa * j * (j - 1)
 
-    lateral = float(brentq(lambda x: kirchhoff(x)[0], 0.5 * stretch**-0.5, 1.5 * stretch**-0.5, xtol=1e-15, rtol=4 * EPS))
+    low, high = 0.5 * stretch**-0.5, 1.5 * stretch**-0.5
+    lateral = float(brentq(lambda x: kirchhoff(x)[0], low, high, xtol=1e-15, rtol=4 * EPS))  # type: ignore[arg-type]
     return kirchhoff(lateral)[2] / stretch, lateral
 
 
