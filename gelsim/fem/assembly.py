@@ -9,8 +9,9 @@ contact (contact.py) is the only coupling between them.
 
 Solver units are mm, kPa and mN (as kPa·mm²): they keep the two kinds of unknowns within a few orders of magnitude of each other.
 
-Layout: node i owns up to four unknowns (u_x, u_y, u_z, and p at vertices), numbered in a row; `local[i, c]` is the place of component c among them or
--1 where it is prescribed. The upper triangle is stored by node pairs, so a kernel finds a value's slot with one short binary search.
+Layout: node i owns up to four unknowns (u_x, u_y, u_z, and p at vertices), numbered in a row; `local[i, c]` is the place of component c
+among them or -1 where it is prescribed. The upper triangle is stored by node pairs, so a kernel finds a value's slot with one short
+binary search.
 """
 
 from __future__ import annotations

@@ -131,9 +131,7 @@ class SurfaceContact:
         self.mesh.points.assign(x.numpy()[self.used].astype(np.float32))
         self.mesh.refit()
         overhang = 1e3 if freeze else OVERHANG
-        self._launch(
-            closest_points, x, self.mesh.id, self.master, self.corners, reach, overhang, self.face, self.xi, self.normal, self.gap
-        )
+        self._launch(closest_points, x, self.mesh.id, self.master, self.corners, reach, overhang, self.face, self.xi, self.normal, self.gap)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""
