@@ -1,9 +1,9 @@
 """`gelsim bench`: speed against error, and the numerical-stability suite, as tables and plots (docs/validation.md is made from them).
 
 Three sections. `accuracy` presses a rigid ball and soft hemispheres into a flat gel at every fidelity and compares force, contact radius
-and surface profile with the converged axisymmetric solutions of assets/reference (another code). `stability` runs named hard cases and says how
-each ended. `speed` times the coupled hemisphere as a whole body and as the quarter that its symmetry allows. Each case is one line of
-results.jsonl, written as soon as it is known, so that a run that was stopped goes on with --resume.
+and surface profile with the converged axisymmetric solutions of assets/reference (another code). `stability` runs named hard cases and
+says how each ended. `speed` times the coupled hemisphere as a whole body and as the quarter that its symmetry allows. Each case is one
+line of results.jsonl, written as soon as it is known, so that a run that was stopped goes on with --resume.
 
 Seconds are wall seconds of the solve alone, kernels compiled and meshes cached before; a busy machine makes them longer.
 """
