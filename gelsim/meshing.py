@@ -22,7 +22,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -35,6 +35,7 @@ from gelsim.geometry import (
     TET_EDGES,
     TetMesh,
     TriMesh,
+    is_closed,
     jacobian_determinants,
     mirror,
     outer_faces,
@@ -43,21 +44,23 @@ from gelsim.geometry import (
     tet_volumes,
 )
 from gelsim.scene import Scene
-from gelsim.shapes import DRAWN, gel_height, load_mesh, placement, press_depth, rigid_surface, shape_symmetry, solid
-from gelsim.sizing import SIZES, Footprint, SizeField, class_above, class_below, contact_edge
+from gelsim.shapes import DRAWN, TURNED, gel_height, load_mesh, placement, press_depth, rigid_surface, shape_symmetry, sharp_edges, solid
+from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField, class_above, class_below, contact_edge
 from gelsim.solids import Array, Plane, Solid, classify, membership, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
-_SCHEMA = 1
+_SCHEMA = 2
 """Raise it when the same key would no longer give the same mesh."""
 _WORST_QUALITY = 0.02
 """Smallest mean-ratio quality of a straight tet that is let through; fTetWild's own meshes reach 0.1 to 0.3."""
 _CHORD = 0.05
-"""Distance allowed between the facets that fTetWild is given and the curved shape, per edge length in contact."""
+"""Distance allowed between the facets that fTetWild is given and the curved shape, per edge length asked for there."""
+_COARSE = np.radians(30.0)
+"""Angle between the corners of a turned object before its surface is refined: at 15 degrees a foot would get edges of a quarter radius."""
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
-_ATTEMPTS = ((0.05, 10.0, 40), (0.02, 6.0, 80), (0.1, 6.0, 80))
-"""How far fTetWild may move the surface before its vertices are put back, per edge length in contact; its AMIPS energy to stop at (a
+_ATTEMPTS = ((0.05, 10.0, 20), (0.02, 6.0, 80), (0.1, 6.0, 80))
+"""How far fTetWild may move the surface before its vertices are put back, per smallest edge length; its AMIPS energy to stop at (a
 regular tet has 3); the passes it may take. The next is tried when one leaves a bad tet; a smaller envelope costs more tets."""
 
 Progress = Callable[[str], None]
@@ -75,7 +78,9 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
     """
     sizes, area = SIZES[scene.fidelity], footprint(scene)
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
-    field = SizeField((*area.low, -0.5 * thickness), (*area.high, 0.0), contact_edge(area, sizes), sizes.growth, sizes.gel_far)
+    edge = contact_edge(area, sizes)
+    rims = _touching(scene, sharp_edges(scene.object))
+    field = _field(area, -min(0.5 * thickness, 0.5 * min(area.high)), 0.0, edge, sizes, sizes.gel_far, rims)
     planes = (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), 0), ((0, -1, 0), 0))
     block = Solid(
         tuple(Plane(normal, offset) for normal, offset in planes),
@@ -83,7 +88,9 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
         np.array([[i, j, k] for i in (0.0, x) for j in (0.0, y) for k in (-thickness, 0.0)]),
     )
     vertices, faces, _ = solid_surface(block, np.inf, np.inf)
-    mesh = _cached_fill(TriMesh(vertices, faces), block, field, area.stretch, "the gel", progress)
+    fences = _fences(rims, field.rim)
+    surface = TriMesh(np.vstack([vertices, fences.vertices]), np.vstack([faces, fences.faces + len(vertices)]).astype(np.int32))
+    mesh = _cached_fill(surface, block, field, area.stretch, "the gel", progress)
     nodes = mesh.rest_positions.copy()
     share = (nodes[:, 2] + thickness) / thickness
     nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(scene.gel, nodes[:, :2])) - thickness)
@@ -103,19 +110,67 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
-    edge = contact_edge(area, sizes)
+    edge = OBJECT_COARSER * contact_edge(area, sizes)
     if body.shape == "mesh":
         surface, shape, stretch = load_mesh(body), None, 1.0
         narrow = float(np.ptp(surface.vertices, axis=0).min())
     else:
-        shape, stretch = solid(body, shape_symmetry(body)), area.stretch
-        vertices, faces, _ = solid_surface(shape, np.inf, _CHORD * edge)
-        surface, narrow = TriMesh(vertices, faces), float(np.ptp(solid(body).hull, axis=0).min())
-    # Away from contact a tall object is a spring, but three edges across it are needed to bend like one.
-    far = max(edge, min(sizes.object_far, narrow / 3))
-    field = SizeField((0.0, 0.0, 0.0), (*area.high, 1.5 * press_depth(scene)), edge, sizes.growth, far)
+        surface, shape, stretch = None, solid(body, shape_symmetry(body), _COARSE), area.stretch
+        narrow = float(np.ptp(solid(body).hull, axis=0).min())
+    # Away from contact a tall object is a spring, but two quadratic edges across it are needed to bend like one.
+    far = max(edge, min(sizes.object_far, narrow / 2))
+    rims = _cut(sharp_edges(body), min(edge, sizes.rim))
+    rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= area.high).all(axis=-1)).all(axis=1)]
+    field = _field(replace(area, low=(0.0, 0.0)), 0.0, 0.5 * press_depth(scene), edge, sizes, far, rims)
+    if surface is None:
+        assert shape is not None
+        vertices, faces, _ = solid_surface(shape, np.inf, lambda points: _CHORD * field(points))
+        surface = TriMesh(vertices, faces)
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
     return _mirrored(_cached_fill(surface, shape, field, stretch, label, progress), symmetry)
+
+
+def _field(area: Footprint, bottom: float, top: float, edge: float, sizes: MeshSizes, far: float, rims: Array) -> SizeField:
+    rounding = min(area.high) if area.round else 0.0
+    rim = min(edge, sizes.rim)
+    points = _cut(rims, rim).reshape(-1, 3)
+    folded = np.hstack([np.abs(points[:, :2]), points[:, 2:]])
+    _, first = np.unique(np.round(folded / (0.1 * rim)), axis=0, return_index=True)
+    corners = (*area.low, bottom), (*area.high, top)
+    return SizeField(*corners, edge, sizes.growth, far, rounding, rim, sizes.rim_growth, folded[np.sort(first)])
+
+
+def _cut(pieces: Array, longest: float) -> Array:
+    """Straight pieces (K, 2, 3) cut into ones no longer than `longest`."""
+    steps = np.maximum(1, np.ceil(np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) / longest * (1 - 1e-9)).astype(int))
+    lines = [a + np.linspace(0.0, 1.0, n + 1)[:, None] * (b - a) for (a, b), n in zip(pieces, steps, strict=True)]
+    return np.vstack([np.zeros((0, 2, 3)), *(np.stack([line[:-1], line[1:]], axis=1) for line in lines)])
+
+
+def _touching(scene: Scene, pieces: Array) -> Array:
+    """Where edges of the object (K, 2, 3) meet the gel's flat block when pressed into it; those over its border do not count."""
+    turn, shift = placement(scene, rigid_surface(scene, frozenset()))
+    placed = _cut(pieces, 0.5 * MM) @ turn.T + shift
+    inside = (np.abs(placed[..., :2]) < np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3)).all(axis=(1, 2))
+    placed = placed[inside]
+    gap = placed[..., 2] - gel_height(scene.gel, placed[..., :2].reshape(-1, 2)).reshape(-1, 2)
+    placed = placed[(gap < press_depth(scene)).all(axis=1)]
+    placed[..., 2] = 0.0
+    return placed
+
+
+def _fences(pieces: Array, depth: float) -> TriMesh:
+    """Upright strips below pieces (K, 2, 3) of the plane z = 0, folded into x, y >= 0: fTetWild keeps them, so edges lie along."""
+    folded = np.concatenate([np.abs(pieces[..., :2]), pieces[..., 2:]], axis=-1)
+    crosses = (pieces[:, 0, :2] * pieces[:, 1, :2] < -1e-18).any(axis=1)
+    long = np.linalg.norm(folded[:, 1] - folded[:, 0], axis=1) > 1e-6
+    tops = folded[long & ~crosses]
+    _, first = np.unique(np.round(np.sort(tops, axis=1) * 1e9), axis=0, return_index=True)
+    tops = tops[np.sort(first)]
+    corners = np.concatenate([tops, tops - [0.0, 0.0, depth]], axis=1).reshape(-1, 3)
+    faces = (4 * np.arange(len(tops))[:, None, None] + np.array([[0, 1, 3], [0, 3, 2]])).reshape(-1, 3)
+    vertices, index = np.unique(np.round(corners, 12), axis=0, return_inverse=True)
+    return TriMesh(vertices.reshape(-1, 3), index.ravel()[faces].astype(np.int32).reshape(-1, 3))
 
 
 def footprint(scene: Scene) -> Footprint:
@@ -137,7 +192,8 @@ def footprint(scene: Scene) -> Footprint:
     width = high_class - low_class
     drawn = scene.object.shape in DRAWN and not scene.press.twist_deg
     stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
-    return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch)
+    round_area = scene.object.shape in TURNED and not any(low_class)
+    return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch, round_area)
 
 
 def mesh_report(mesh: TetMesh) -> dict[str, object]:
@@ -163,13 +219,14 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
     """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
+    smallest = min(field.contact, field.rim)
     inside = TriMesh(surface.vertices * squeeze, surface.faces)
     for attempt in _ATTEMPTS:
         vertices, tets = _tetwild(inside, narrow, attempt, label)
         vertices = vertices / squeeze
         inverted = tet_volumes(vertices, tets) < 0
         tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
-        vertices, patch = _snapped(vertices, tets, shape, 2 * (attempt[0] + _CHORD) * field.contact * stretch)
+        vertices, patch = _snapped(vertices, tets, shape, 2 * stretch * (attempt[0] * smallest + _CHORD * field(vertices)))
         quality = tet_quality(vertices * squeeze, tets)
         if quality.min() > _WORST_QUALITY:
             break
@@ -196,12 +253,14 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
     envelope, energy, passes = attempt
     lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     diagonal = float(np.linalg.norm(upper - lower))
+    fenced = not is_closed(surface.faces)  # a block with strips in it: its winding number would not tell inside from outside beside them
     points, cells, values = field.background(lower - 0.05 * diagonal, upper + 0.05 * diagonal)
     with tempfile.TemporaryDirectory() as folder:
         given = {  # in millimetres: some of its tolerances are absolute
             "vertices": surface.vertices / MM, "faces": surface.faces,
-            "bg_vertices": points / MM, "bg_tets": cells, "bg_values": values / MM, "edge_length_abs": field.far / MM,
-            "epsilon": envelope * field.contact / diagonal, "stop_energy": energy, "num_opt_iter": passes,
+            "bg_vertices": points / MM, "bg_tets": cells, "bg_values": values / LONGER / MM, "edge_length_abs": field.far / LONGER / MM,
+            "epsilon": envelope * min(field.contact, field.rim) / diagonal, "stop_energy": energy, "num_opt_iter": passes,
+            "disable_filtering": fenced,
         }  # fmt: skip
         np.savez(Path(folder) / "in.npz", **{name: np.asarray(value) for name, value in given.items()})  # type: ignore[arg-type]
         child = subprocess.run([sys.executable, "-c", _CHILD], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
@@ -211,6 +270,9 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
             raise MeshingError(f"filling {label} with tetrahedra failed ({said}); try to close and clean its surface")
         with np.load(out, allow_pickle=False) as stored:
             filled, tets = stored["vertices"], stored["tets"]
+    if fenced:
+        centre = filled[tets].mean(axis=1) * MM
+        tets = tets[((centre > lower) & (centre < upper)).all(axis=1)]
     if not len(tets):
         raise MeshingError(f"filling {label} left no tetrahedron: its surface encloses nothing; try to close it and check its orientation")
     used, tets = np.unique(tets, return_inverse=True)
@@ -221,12 +283,13 @@ _CHILD = """
 import numpy, pytetwild
 with numpy.load("in.npz", allow_pickle=False) as stored:
     given = {name: stored[name] if stored[name].ndim else stored[name].item() for name in stored.files}
-vertices, tets = pytetwild.tetrahedralize(given.pop("vertices"), given.pop("faces"), num_threads=1, quiet=True, loglevel=6, **given)
+surface = given.pop("vertices"), given.pop("faces")
+vertices, tets = pytetwild.tetrahedralize(*surface, num_threads=1, quiet=True, loglevel=6, coarsen=True, **given)
 numpy.savez("out.npz", vertices=vertices, tets=tets)
 """
 
 
-def _snapped(vertices: Array, tets: NDArray[np.int32], shape: Solid | None, near: float) -> tuple[Array, NDArray[np.int64]]:
+def _snapped(vertices: Array, tets: NDArray[np.int32], shape: Solid | None, near: Array) -> tuple[Array, NDArray[np.int64]]:
     """Boundary vertices put on the patches of the faces around them, at most `near` away; the patch of each boundary face."""
     if shape is None:
         return vertices, np.zeros(0, np.int64)
@@ -322,7 +385,7 @@ def _say(line: str) -> None:
 def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float) -> str:
     """Hash of everything a mesh depends on. Coordinates are rounded to a picometre, so that the last bits of libm do not matter."""
     digest = hashlib.sha256()
-    settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, asdict(field), stretch, shape and shape.roles]
+    settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, _CHILD, LONGER, field.settings(), stretch, shape and shape.roles]
     digest.update(json.dumps(settings, sort_keys=True, default=float).encode())
     digest.update(np.round(surface.vertices * 1e12).astype(np.int64).tobytes())
     digest.update(surface.faces.tobytes())

@@ -118,8 +118,8 @@ def press_symmetry(scene: Scene) -> frozenset[str]:
 
 
 @lru_cache(maxsize=64)
-def solid(body: Body, symmetry: frozenset[str] = frozenset()) -> Solid:
-    """The exact shape, cut at the planes of `symmetry`, of which its positive side stays."""
+def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL_STEP) -> Solid:
+    """The exact shape, cut at the planes of `symmetry`, of which its positive side stays; `step` [rad] between a turned hull's corners."""
     assert body.shape != "mesh" and symmetry <= shape_symmetry(body)
     h = body.height_mm * MM
     patches: list[Patch] = []
@@ -134,7 +134,7 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset()) -> Solid:
     else:
         segments = _profile(body)
         patches += _runs(segments, body.shape in TURNED)
-        hull = _hull_points(segments, body, symmetry)
+        hull = _hull_points(segments, body, symmetry, step)
         if body.shape in DRAWN:
             patches.append(Plane((0.0, 1.0, 0.0), _length(body) / 2))
             if "y" not in symmetry:
@@ -159,7 +159,7 @@ def _runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
     return [Sweep(tuple(run), turned) for run in runs]
 
 
-def _hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[str]) -> Array:
+def _hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float) -> Array:
     """Corners of a coarse polyhedron; no three on a line, so that the hull keeps each of them."""
     line = np.vstack([segments[0].samples()] + [s.samples()[1:] for s in segments[1:]])
     h = line[-1, 1]
@@ -172,7 +172,7 @@ def _hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[
         return np.vstack([np.insert(flat, 1, y, axis=1) for y in ends])
     low = {0: -np.pi, 1: -np.pi / 2 if "x" in symmetry else 0.0, 2: 0.0}[len(symmetry)]
     high = {0: np.pi, 1: np.pi / 2 if "x" in symmetry else np.pi, 2: np.pi / 2}[len(symmetry)]
-    azimuth = np.linspace(low, high, 1 + round((high - low) / HULL_STEP))
+    azimuth = np.linspace(low, high, 1 + round((high - low) / step))
     azimuth = azimuth[:-1] if not symmetry else azimuth
     circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     circle[np.abs(circle) < 1e-12] = 0.0
@@ -222,6 +222,25 @@ def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-
         return load_mesh(body)
     vertices, faces, _ = solid_surface(solid(body, symmetry), edge_length, chord)
     return TriMesh(vertices, faces)
+
+
+def sharp_edges(body: Body, least_deg: float = 30.0) -> Array:
+    """Sharp convex edges of the object as straight pieces, (K, 2, 3) [m], within 10 µm of a curved one; those of its base are left out.
+
+    An edge is sharp where the surface turns by more than `least_deg`.
+    """
+    surface = object_surface(body, edge_length=np.inf, chord=np.inf if body.shape == "mesh" else 1e-5)
+    edges, index = edges_of(surface.faces, FACE_EDGES)
+    corners = surface.vertices[surface.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    order = np.argsort(index.ravel(), kind="stable")  # a closed surface: two faces an edge
+    one, two = (np.arange(len(surface.faces)).repeat(3)[order].reshape(-1, 2)).T
+    sharp = (normal[one] * normal[two]).sum(axis=1) < np.cos(least_deg * DEG)
+    convex = ((corners[two].mean(axis=1) - corners[one].mean(axis=1)) * normal[one]).sum(axis=1) < 0.0
+    top = surface.vertices[:, 2].max() * (1 - 1e-6)
+    low = (surface.vertices[edges][:, :, 2] < top).any(axis=1)
+    return surface.vertices[edges[sharp & convex & low]]
 
 
 def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:

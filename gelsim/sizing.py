@@ -1,17 +1,20 @@
-"""How long the edges of a mesh should be, and where: fine in the expected contact, growing linearly away from it.
+"""How long the edges of a mesh should be, and where: fine in the expected contact and along sharp rims in it, growing away from them.
 
-    h(p) = min(h_far, h_contact + growth · d(p)),    d = distance to the box in which contact is expected.
+    h(p) = min(h_far, h_contact + growth · d(p), h_rim + rim_growth · r(p)),
+    d = distance to the area in which contact is expected, a box or a disc of some depth; r = distance to the nearest point of a rim.
 
-The box is the overlap of the undeformed object and gel at full depth plus a margin for drape and tangential travel; its half widths are
-rounded up to a few classes, so that one gel mesh serves many presses. fTetWild takes h as the nodal values of a background mesh.
+The area is the overlap of the undeformed object and gel at full depth plus a margin for drape and tangential travel; its half widths are
+rounded up to a few classes, so that one gel mesh serves many presses. A rim is a sharp convex edge of the object that lies in the area:
+there the pressure of a rigid body has its peak, and faces of the gel that straddle the edge let it through. fTetWild takes h as the nodal
+values of a background mesh.
 
-Left out: refinement along sharp rims inside a wide contact (a punch's edge gets no finer tets than its middle).
+Left out: rims that only come into contact by deformation or travel.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +22,16 @@ from numpy.typing import NDArray
 from gelsim.solids import Array
 from gelsim.units import MM
 
-_CLASSES = np.array([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 25.0, 50.0, 100.0]) * MM
-"""Half widths of the contact box [m], about √2 apart."""
+_CLASSES = (
+    np.array([0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 4.8, 5.6, 6.7, 8.0, 9.5, 11.0, 13.0, 16.0, 25.0, 50.0]) * MM
+)
+"""Half widths of the contact area [m], about 2^(1/4) apart."""
+LONGER = 1.3
+"""Length of fTetWild's edges over what it is asked for, as we stop it: the background mesh asks for that much less (test_meshing.py)."""
+
+
+OBJECT_COARSER = 1.3
+"""Edge length in contact of the object over the gel's: less of it deforms, and its curved faces come out shorter than flat ones."""
 
 
 @dataclass(frozen=True)
@@ -28,20 +39,23 @@ class MeshSizes:
     """How fine a mesh is; lengths in metres."""
 
     divisions: float
-    """Edges across the narrow half width of the contact box."""
+    """Edges across the narrow half width of the contact area."""
     finest: float
     coarsest_contact: float
     """Bounds of the edge length in contact: the gel's thickness wants two quadratic tets at least."""
     growth: float
-    """Edge length gained per length away from the contact box."""
+    """Edge length gained per length away from the contact area."""
+    rim: float
+    """Edge length along sharp rims; the edge length in contact where that is shorter."""
+    rim_growth: float
     gel_far: float
     object_far: float
 
 
 SIZES = {
-    "fast": MeshSizes(3.0, 0.20 * MM, 1.2 * MM, 0.7, 4.0 * MM, 5.0 * MM),
-    "balanced": MeshSizes(5.0, 0.14 * MM, 0.9 * MM, 0.6, 3.0 * MM, 4.0 * MM),
-    "reference": MeshSizes(8.0, 0.09 * MM, 0.6 * MM, 0.5, 2.0 * MM, 3.0 * MM),
+    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM),
+    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM),
+    "reference": MeshSizes(10.0, 0.12 * MM, 0.9 * MM, 0.7, 0.15 * MM, 0.9, 3.0 * MM, 4.0 * MM),
 }
 
 
@@ -53,6 +67,8 @@ class Footprint:
     high: tuple[float, float]
     stretch: float
     """How many times longer than wide tets may be along y."""
+    round: bool = False
+    """A disc (an ellipse's worth of rounded box) rather than a box."""
 
 
 def class_above(value: float) -> float:
@@ -72,26 +88,44 @@ def contact_edge(area: Footprint, sizes: MeshSizes) -> float:
     return float(np.clip(min(half[0], half[1]) / sizes.divisions, sizes.finest, sizes.coarsest_contact))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SizeField:
-    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high]."""
+    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high], its upright edges rounded, and away from rims."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     contact: float
     growth: float
     far: float
+    rounding: float = 0.0
+    """Radius of the upright edges [m]; 0 where the box does not reach to the axis."""
+    rim: float = np.inf
+    rim_growth: float = 0.0
+    rim_points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(K, 3), |x| and |y|, no farther apart than `rim`."""
 
     def __call__(self, points: Array) -> Array:
         folded = np.concatenate([np.abs(points[..., :2]), points[..., 2:]], axis=-1)
-        away = np.maximum(np.maximum(self.low - folded, folded - self.high), 0.0)
-        return np.minimum(self.far, self.contact + self.growth * np.linalg.norm(away, axis=-1))
+        high = np.array(self.high) - [self.rounding, self.rounding, 0.0]
+        away = np.maximum(np.maximum(self.low - folded, folded - high), 0.0)
+        aside = np.maximum(np.hypot(away[..., 0], away[..., 1]) - self.rounding, 0.0)
+        size = np.minimum(self.far, self.contact + self.growth * np.hypot(aside, away[..., 2]))
+        if len(self.rim_points):
+            from scipy.spatial import KDTree
+
+            size = np.minimum(size, self.rim + self.rim_growth * KDTree(self.rim_points).query(folded)[0])
+        return size
 
     def squeezed(self, stretch: float) -> SizeField:
-        """The same field in the space squeezed along y."""
-        low, high = list(self.low), list(self.high)
-        low[1], high[1] = low[1] / stretch, high[1] / stretch
-        return SizeField((low[0], low[1], low[2]), (high[0], high[1], high[2]), self.contact, self.growth, self.far)
+        """The same field in the space squeezed along y; edges there may be `stretch` times longer along y when they are back."""
+        squeeze = np.array([1.0, 1.0 / stretch, 1.0])
+        low, high = (tuple(float(v) for v in np.array(corner) * squeeze) for corner in (self.low, self.high))
+        return replace(self, low=low, high=high, rim_points=self.rim_points * squeeze)
+
+    def settings(self) -> tuple[object, ...]:
+        """Everything it depends on, for a hash; a picometre does not matter."""
+        rim = np.round(self.rim_points * 1e12).astype(np.int64).tolist()
+        return (self.low, self.high, self.contact, self.growth, self.far, self.rounding, self.rim, self.rim_growth, rim)
 
     def background(self, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int32], Array]:
         """A tetrahedral mesh over the bounding box, its points close where the field is small, and the field at the points."""
@@ -114,9 +148,12 @@ class SizeField:
         return points, tets.astype(np.int32), self(points)
 
     def _along(self, axis: int, value: float) -> float:
-        """The smallest field on the plane where coordinate `axis` is `value`."""
+        """The smallest field on the plane where coordinate `axis` is `value`, or a little less."""
         v = abs(value) if axis < 2 else value
-        return min(self.far, self.contact + self.growth * max(self.low[axis] - v, v - self.high[axis], 0.0))
+        size = min(self.far, self.contact + self.growth * max(self.low[axis] - v, v - self.high[axis], 0.0))
+        if len(self.rim_points):
+            size = min(size, self.rim + self.rim_growth * float(np.abs(self.rim_points[:, axis] - v).min()))
+        return size
 
 
 def _graded(a: float, b: float, size: Callable[[float], float]) -> list[float]:

@@ -144,14 +144,15 @@ def patch_distances(patches: tuple[Patch, ...], points: Array) -> Array:
     return np.stack([np.linalg.norm(patch.project(points) - points, axis=1) for patch in patches], axis=1)
 
 
-def classify(patches: tuple[Patch, ...], vertices: Array, faces: NDArray[np.int32], tolerance: float) -> NDArray[np.int64]:
-    """The patch of each face, (F,): among the patches that all three vertices lie on within `tolerance`, the best aligned one."""
+def classify(patches: tuple[Patch, ...], vertices: Array, faces: NDArray[np.int32], tolerance: Array | float) -> NDArray[np.int64]:
+    """The patch of each face, (F,): among the patches that all three vertices lie on within their `tolerance`, the best aligned one."""
     corners = vertices[faces[:, :3]]
     centre = corners.mean(axis=1)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    far = patch_distances(patches, vertices)[faces[:, :3]].max(axis=1)
-    near = far <= np.maximum(tolerance, far.min(axis=1, keepdims=True) * (1 + 1e-9))
+    allowed = np.broadcast_to(tolerance, len(vertices))
+    far = (patch_distances(patches, vertices) / allowed[:, None])[faces[:, :3]].max(axis=1)
+    near = far <= np.maximum(1.0, far.min(axis=1, keepdims=True) * (1 + 1e-9))
     aligned = np.stack([(patch.normals(centre) * normal).sum(axis=1) for patch in patches], axis=1)
     return np.argmax(np.where(near, aligned, -np.inf), axis=1)
 
@@ -189,7 +190,7 @@ def membership(faces: NDArray[np.int32], face_patch: NDArray[np.int64], vertex_c
     return member
 
 
-def solid_surface(shape: Solid, edge_length: Sizes | float, chord: float) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:
+def solid_surface(shape: Solid, edge_length: Sizes | float, chord: Sizes | float) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:
     """Vertices, outward faces and the patch of each face; edges at most `edge_length` long and `chord` from the exact shape [m]."""
     from scipy.spatial import ConvexHull
 
@@ -203,7 +204,7 @@ def solid_surface(shape: Solid, edge_length: Sizes | float, chord: float) -> tup
         faces[flip] = faces[flip][:, ::-1]
         if is_closed(faces):
             break
-    sizes = edge_length if callable(edge_length) else lambda p: np.full(len(p), edge_length)
+    sizes, chords = (given if callable(given) else lambda p, given=given: np.full(len(p), given) for given in (edge_length, chord))
     patch = classify(shape.patches, vertices, faces, 1e-9)
     for _ in range(60):
         edges, index = edges_of(faces, FACE_EDGES)
@@ -215,7 +216,7 @@ def solid_surface(shape: Solid, edge_length: Sizes | float, chord: float) -> tup
         middle = snap(shape.patches, straight, member)
         zero_cuts(shape, middle, member)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        split = (length > sizes(middle)) | (np.linalg.norm(middle - straight, axis=1) > chord)
+        split = (length > sizes(middle)) | (np.linalg.norm(middle - straight, axis=1) > chords(middle))
         if not split.any():
             return vertices, faces, patch
         # A face may only be cut through its longest edge first; the index breaks ties the same way on both sides of an edge.

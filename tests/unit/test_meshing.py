@@ -14,7 +14,7 @@ from gelsim.geometry import TetMesh, TriMesh, is_closed, jacobian_determinants, 
 from gelsim.meshing import footprint, mesh_gel, mesh_object, mesh_report
 from gelsim.scene import Body, Gel, Press, Scene
 from gelsim.shapes import gel_height, project
-from gelsim.sizing import SIZES, SizeField
+from gelsim.sizing import SIZES, SizeField, contact_edge
 
 QUIET = lambda line: None  # noqa: E731
 
@@ -79,7 +79,8 @@ def test_objects(shape: str, expected: float | None) -> None:
     assert np.linalg.norm(project(Body(shape=shape, height_mm=12.0), p) - p, axis=1).max() < 1e-9
     if expected is not None:
         # Curved faces: a six-node arc of angle θ is off by R θ⁴/2000 or less; θ <= 1 here, 0.25 % of R over the curved part of the skin.
-        assert volume(mesh) * 2e9 == pytest.approx(expected, rel=2.5e-3 if shape in ("hemisphere", "cylinder", "cone", "punch") else 1e-9)
+        # A middle that would fold its tet stays on a chord of 30°, which loses 4.5 % of the circle: allowed for one chord in twenty.
+        assert volume(mesh) * 2e9 == pytest.approx(expected, rel=5e-3 if shape in ("hemisphere", "cylinder", "cone", "punch") else 1e-9)
 
 
 def test_the_apex_is_a_node() -> None:
@@ -127,10 +128,10 @@ def test_edges_follow_the_size_field() -> None:
     length = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1)
     reach = np.linalg.norm(edges.mean(axis=1)[:, :2], axis=1)
     area, sizes = footprint(given), SIZES["fast"]
-    contact = area.high[0] / sizes.divisions
+    contact = contact_edge(area, sizes)
     # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but not where that spoils a tet: one halving more or
     # less is allowed for the median. Far away the gel's own 2.4 mm bound the edges across it.
-    box = (reach < area.high[0]) & (edges[:, :, 2].mean(axis=1) > -1.2e-3)
+    box = (reach < area.high[0]) & (edges[:, :, 2].mean(axis=1) > -0.5 * area.high[0])
     near, far = np.median(length[box]), np.median(length[reach > 10e-3])
     assert 0.5 * contact < near < 2 * contact
     assert 1.7 * near < far < 4 / 3 * sizes.gel_far
