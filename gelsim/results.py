@@ -26,7 +26,7 @@ class SurfaceMotion:
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """A solved press of N recorded states, the first is first touch without force. Always the whole body, also where a quarter was solved."""
+    """A solved press of N recorded states, the first is first touch without force. The whole body, also where a quarter was solved."""
 
     approach: NDArray[np.float64]
     """Travel of the object's base toward the window [m], shape (N,)."""
