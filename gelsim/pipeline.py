@@ -24,6 +24,7 @@ from gelsim.errors import SceneError, SolveError, SolveStatus
 from gelsim.results import Deformation, Frame, Membrane
 from gelsim.scene import Scene
 from gelsim.scene_file import load_scene, scene_table
+from gelsim.units import MM
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, total)."""
@@ -82,6 +83,8 @@ def press(
     record.choices["gel_modulus_kpa"] = gel_material.youngs_modulus / 1e3
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     with record.stage("mesh"):
+        if scene.object.mesh:
+            _check_depth(scene, scene.object.mesh)
         # The object first: a file that cannot be used should not cost the gel's mesh.
         if object_material is None:
             body = surface = shapes.rigid_surface(scene, symmetry)
@@ -104,6 +107,17 @@ def press(
             device=device,
             progress=(lambda done, total: progress("press", done, total)) if progress else None,
             throw=throw,
+        )
+
+
+def _check_depth(scene: Scene, path: str) -> None:
+    """What the scene's own check does for other shapes: only the file knows how tall the object is."""
+    from gelsim.mesh_file import read_surface
+
+    height_mm = read_surface(path, scene.object.mesh_unit)[0].vertices[:, 2].max() / MM
+    if scene.press.depth_mm is not None and scene.press.depth_mm >= height_mm:
+        raise SceneError(
+            f"press.depth_mm = {scene.press.depth_mm:g} mm: it must be less than the height of object.mesh = {path!r}, {height_mm:.4g} mm"
         )
 
 

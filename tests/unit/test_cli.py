@@ -100,6 +100,7 @@ BAD = {
     "out below a file": (["--out", "file.txt/deep"], "cannot be written to"),
     "out is full": (["--out", "full"], "not empty; give --force"),
     "open mesh": (["--shape", "mesh", "--mesh", "open.stl"], "open.stl"),
+    "depth of a file": (["--shape", "mesh", "--mesh", "cube.stl", "--depth-mm", "10"], "'cube.stl', 10 mm"),
     "metres": (["--shape", "mesh", "--mesh", "metres.stl"], "read in mm"),
 }
 
@@ -113,6 +114,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(name: str, command: str, capfd
     (tmp_path / "full" / "old.txt").write_text("an earlier result")
     write_stl(tmp_path / "open.stl", box(10.0, faces=11))
     write_stl(tmp_path / "metres.stl", box(0.01))
+    write_stl(tmp_path / "cube.stl", box(10.0))
     before = sorted(tmp_path.rglob("*"))
     assert cli.main([command, *flags]) == cli.BAD_INPUT
     output = capfd.readouterr()
