@@ -55,7 +55,7 @@ def main(quick: bool = False) -> dict[str, dict[int, dict[str, float]]]:
     series: dict[str, dict[int, Pressed]] = {"equal approach": {}, "equal force": {}}
     for shore in (10, 70) if quick else (10, 30, 50, 70):
         if quick:
-            ends = {"depth_mm": 0.5, "force_n": "none", "frames": 2}, {"depth_mm": FURTHEST_MM[shore] / 2, "force_n": 0.3, "frames": 4}
+            ends = {"depth_mm": 0.5, "force_n": "none", "frames": 2}, {"depth_mm": 1.5, "force_n": 0.15, "frames": 4}
         else:
             ends = (
                 {"depth_mm": DEPTH_MM, "force_n": "none", "frames": 5},
