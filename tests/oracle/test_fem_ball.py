@@ -97,10 +97,10 @@ def test_a_locking_element_is_seen(nu: float) -> None:
 
 @pytest.mark.slow
 def test_ball_force_on_a_real_mesh() -> None:
-    """The same through fTetWild's unstructured mesh, as users get it."""
+    """The same through fTetWild's unstructured mesh, as users get it by default (its scatter at `fast` can exceed 5 % at 0.1 mm)."""
     from gelsim import meshing, shapes
 
-    scene = ball_scene(0.6, 7)
+    scene = ball_scene(0.6, 7, fidelity="balanced")
     assert shapes.press_symmetry(scene) == {"x", "y"}
     gel = meshing.mesh_gel(scene, frozenset("xy"))
     _, press = solved(problem_of(scene, gel, rigid_body(scene, gel)))
@@ -116,7 +116,7 @@ def test_soft_hemisphere_on_real_meshes() -> None:
     from gelsim import meshing
     from gelsim.scene import Body
 
-    scene = ball_scene(0.6, 4)
+    scene = ball_scene(0.6, 4, fidelity="balanced")
     scene = replace(scene, object=Body(shape="hemisphere", radius_mm=5.0, height_mm=25.0, youngs_modulus_kpa=200.0))
     gel, body = meshing.mesh_gel(scene, frozenset("xy")), meshing.mesh_object(scene, frozenset("xy"))
     _, press = solved(problem_of(scene, gel, body))
