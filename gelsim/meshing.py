@@ -117,10 +117,11 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     else:
         surface, shape, stretch = None, solid(body, shape_symmetry(body), _COARSE), area.stretch
         narrow = float(np.ptp(solid(body).hull, axis=0).min())
-    # Away from contact a tall object is a spring, but two quadratic edges across it are needed to bend like one.
-    far = max(edge, min(sizes.object_far, narrow / 2))
+    # Away from contact a tall object is a spring, but it needs two or three quadratic edges across to bend and stay round.
+    far = max(edge, min(sizes.object_far, narrow / 2.5))
     rims = _cut(sharp_edges(body), min(edge, sizes.rim))
-    rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= area.high).all(axis=-1)).all(axis=1)]
+    reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
+    rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
     field = _field(replace(area, low=(0.0, 0.0)), 0.0, 0.5 * press_depth(scene), edge, sizes, far, rims)
     if surface is None:
         assert shape is not None
