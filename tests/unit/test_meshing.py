@@ -129,7 +129,8 @@ def test_edges_follow_the_size_field() -> None:
     area, sizes = footprint(given), SIZES["fast"]
     contact = contact_edge(area, sizes)
     # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but not where that spoils a tet: one halving more or
-    # less is allowed for the median, and half of one for what its last coarsening adds. Far away the gel's own 2.4 mm bound the edges across it.
+    # less is allowed for the median, and half of one for what its last coarsening adds. Far away the gel's own 2.4 mm bound the
+    # edges across it.
     box = (reach < area.high[0]) & (edges[:, :, 2].mean(axis=1) > -0.5 * area.high[0])
     near, far = np.median(length[box]), np.median(length[reach > 10e-3])
     assert 0.5 * contact < near < 2 * 2**0.5 * contact
