@@ -33,7 +33,7 @@ class Deformation:
     force: NDArray[np.float64]
     """Force on the gel by the object [N], shape (N, 3)."""
     contact_area: NDArray[np.float64]
-    """Area in contact [m²], shape (N,)."""
+    """Area in contact [m²], projected on the window as the camera sees it, shape (N,)."""
     contact_pressure: NDArray[np.float64]
     """Pressure at the gel's outer nodes [Pa], shape (N, G)."""
     gel: SurfaceMotion
