@@ -46,6 +46,8 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
         march = _March(problem, press, depth)
         march.run(depth / (press.frames - 1), press.frames, progress)
     deformation = march.recorder.deformation(march.status, march.message, march.halved)
+    if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
+        deformation.info["warnings"] = [f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"]
     if march.status is not SolveStatus.CONVERGED and throw:
         raise SolveError(
             f"press stopped {march.message}: {march.status.value}; {len(deformation.approach) - 1} of {press.frames - 1} steps were solved "

@@ -16,6 +16,7 @@ from gelsim.results import Deformation, SurfaceMotion
 
 Array = NDArray[np.float64]
 
+
 class Recorder:
     """Keeps the states of a press."""
 
