@@ -1,7 +1,7 @@
 """The same press with objects of four hardnesses: a Shore value seen through the sensor, and the README's figure of it.
 
-    python docs/examples/shore_series.py                  # four hardnesses, balanced meshes: some minutes; docs/images/shore_series.png
-    python docs/examples/shore_series.py --quick          # two hardnesses, coarse: half a minute; nothing is written
+    python docs/examples/shore_series.py                  # four hardnesses: a minute and a half; docs/images/shore_series.png
+    python docs/examples/shore_series.py --quick          # two hardnesses, coarse: 20 s; nothing is written
 
 A hemisphere is pressed to the same approach, then to the same force. At equal approach a softer object gives way itself and leaves a
 shallower, weaker mark; at equal force it has flattened more, so its mark is wider and its rim less bright.
