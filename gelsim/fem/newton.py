@@ -93,7 +93,7 @@ class Newton:
                 values = wp.zeros(len(self.pattern.indices), dtype=wp.float64, device=solids.device)
                 if self.contact.add_tangent(self.x, self.pattern.pairs, values, geometric):
                     solids.add_tangent(self.pattern.pairs, values)
-                    return values.numpy()
+                    return values.numpy()  # type: ignore[return-value]
             gel, body = self.contact.node_pairs(margin=0.2)
             keys = np.union1d(solids.keys, pair_keys(gel, body, solids.node_count))
             self.pattern = build_pattern(solids.free, keys, solids.device)
