@@ -10,7 +10,7 @@ import trimesh
 
 from gelsim import meshing
 from gelsim.errors import MeshingError
-from gelsim.geometry import TetMesh, TriMesh, is_closed, jacobian_determinants, outer_faces, split_faces, tet_quality, volume
+from gelsim.geometry import TET_EDGES, TetMesh, TriMesh, is_closed, jacobian_determinants, outer_faces, split_faces, tet_quality, volume
 from gelsim.meshing import footprint, mesh_gel, mesh_object, mesh_report
 from gelsim.scene import Body, Gel, Press, Scene
 from gelsim.shapes import gel_height, project
@@ -120,20 +120,23 @@ def test_mirrored_meshes_are_symmetric() -> None:
         assert np.array_equal(np.unique(image, axis=0), nodes)
 
 
-def test_edges_follow_the_size_field() -> None:
-    given = scene("cone", "flat")
+@pytest.mark.parametrize(("shape", "low", "high"), [("punch", 0.7, 4 / 3), ("cone", 0.5, 4.0)])
+def test_edges_follow_the_size_field(shape: str, low: float, high: float) -> None:
+    given = scene(shape, "flat")
     mesh = mesh_gel(given, frozenset("xy"), QUIET)
-    edges = mesh.rest_positions[mesh.tets[:, [0, 1]]]
-    length = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1)
-    reach = np.linalg.norm(edges.mean(axis=1)[:, :2], axis=1)
+    edges = np.unique(np.sort(np.concatenate([mesh.tets[:, pair] for pair in TET_EDGES]), axis=1), axis=0)
+    ends = mesh.rest_positions[edges]
+    length, middle = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), ends.mean(axis=1)
+    reach = np.linalg.norm(middle[:, :2], axis=1)
     area, sizes = footprint(given), SIZES["fast"]
     contact = contact_edge(area, sizes)
-    # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but not where that spoils a tet: one halving more or
-    # less is allowed for the median, and half of one for what its last coarsening adds. Far away the gel's own 2.4 mm bound the
-    # edges across it.
-    box = (reach < area.high[0]) & (edges[:, :, 2].mean(axis=1) > -0.5 * area.high[0])
+    # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but not where that spoils a tet: a median of 600 edges
+    # under the punch lies between these but for a tenth (found: 0.82 to 0.85 in four meshes). Under the cone are only 34 to 66 edges and
+    # the size grows at once: one halving too many, one too few and one for the last coarsening are let through (found: 1.7 to 3.0 in 24).
+    # Far away the gel's own 2.4 mm bound the edges across it.
+    box = (reach < area.high[0]) & (middle[:, 2] > -0.5 * area.high[0])
     near, far = np.median(length[box]), np.median(length[reach > 10e-3])
-    assert 0.5 * contact < near < 2 * 2**0.5 * contact
+    assert low * contact < near < high * contact
     assert 1.7 * near < far < 4 / 3 * sizes.gel_far
 
 
