@@ -15,6 +15,7 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
+from gelsim.bench import SECTIONS
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.scene import Scene
@@ -42,9 +43,10 @@ A flag beats the scene file, the file beats the sensor's preset, the preset beat
 BENCH_EXAMPLES = """\
 examples:
   gelsim bench --quick
-  gelsim bench --only stability --out out/stability
+  gelsim bench --only stability --only speed --out out/stability
+  gelsim bench --out out/bench --resume --page docs/validation.md       what is missing, then the page's tables
 
-Writes bench.md (the tables), one CSV a section, results.jsonl (a line a case) and speed_against_error.png."""
+Writes bench.md (the tables), one CSV a section, results.jsonl (a line a case) and plots."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -93,10 +95,15 @@ def _parser() -> Parser:
     press.add_argument("--probe", metavar="FILE.csv", help="sample the gel's outer surface at rest points x_mm,y_mm; writes probe.csv")
     for command in (render, press):
         add_scene_flags(command)
-    bench = commands.add_parser("bench", help="speed against error, and numerical stability: tables and plots", epilog=BENCH_EXAMPLES)
-    bench.add_argument("--quick", action="store_true", help="fewer accuracy cases, none at `reference`: minutes instead of half an hour")
-    bench.add_argument("--only", choices=("accuracy", "stability", "speed"), help="one section (default: all)")
+    bench = commands.add_parser("bench", help="what has to be shown of the mechanics: tables and plots", epilog=BENCH_EXAMPLES)
+    bench.add_argument("--quick", action="store_true", help="fewer cases, none at `reference`: minutes instead of hours")
+    bench.add_argument(
+        "--only", action="append", choices=tuple(SECTIONS), metavar="SECTION", help=f"of {', '.join(SECTIONS)} (default: all)"
+    )
     bench.add_argument("--out", metavar="DIR", default="out/bench", help="result folder (default: out/bench)")
+    bench.add_argument("--page", metavar="FILE.md", help="also put the tables in their places in this page")
+    bench.add_argument("--data", metavar="DIR", help="folder of measured data (default: $GELSIM_DATA); sections without it say so")
+    bench.add_argument("--limit", type=int, metavar="N", help="stop after N new cases; --resume goes on")
     bench.add_argument("--force", action="store_true", help="begin again in an existing folder")
     bench.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
     _add_output_flags(bench, _bench)
@@ -190,12 +197,20 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _bench(options: argparse.Namespace) -> dict[str, Any]:
-    from gelsim import bench
+    from gelsim.bench import runner
+    from gelsim.bench.section import Options
 
-    sections = (options.only,) if options.only else bench.SECTIONS
+    asked = Options(quick=options.quick, **({"data": Path(options.data)} if options.data else {}))
     with _progress() as progress:
-        result = bench.run(
-            Path(options.out), sections=sections, quick=options.quick, resume=options.resume, force=options.force, progress=progress
+        result = runner.run(
+            Path(options.out),
+            sections=options.only or SECTIONS,
+            options=asked,
+            resume=options.resume,
+            force=options.force,
+            limit=options.limit,
+            page=Path(options.page) if options.page else None,
+            progress=progress,
         )
     if not options.json:
         print((Path(options.out) / "bench.md").read_text())

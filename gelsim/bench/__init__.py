@@ -1,0 +1,13 @@
+"""`gelsim bench`: what has to be shown of the mechanics, each by a command, as tables and plots; docs/validation.md is made from them.
+
+A section is one question; its module makes the cases, measures each and says how its table reads (`section.Section`). `runner` runs the
+cases of any sections, one line of results.jsonl each as soon as it is known, so that a run that was stopped goes on with --resume.
+`report` writes what people read. A new section is a module with a `SECTION` and a line here.
+"""
+
+SECTIONS = {
+    "accuracy": "gelsim.bench.accuracy",
+    "speed": "gelsim.bench.speed",
+    "stability": "gelsim.bench.stability",
+}
+"""Section, and the module that holds it, in the order they are run and written. Names alone: nothing heavy is imported before it runs."""

@@ -1,0 +1,111 @@
+"""Section `accuracy`: a rigid ball and soft hemispheres on a flat gel at every fidelity, against solutions of another code.
+
+Force, contact radius and surface profile are compared with the converged axisymmetric solutions of assets/reference.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from gelsim.bench.presses import ball, hemisphere, press_case
+from gelsim.bench.section import Case, Options, Row, Section
+from gelsim.results import Deformation
+from gelsim.scene_file import assets_folder
+
+FIDELITIES = ("fast", "balanced", "reference")
+PROFILE_RADIUS_MM = 8.0
+"""The membrane within this radius is compared: beyond it nothing moves by more than a few micrometres."""
+
+
+def _cases(options: Options) -> Iterator[Case]:
+    quick = options.quick
+    for fidelity in FIDELITIES[:2] if quick else FIDELITIES:
+        for nu in (0.499,) if quick else (0.49, 0.499):
+            profile = "ball_profile_nu0.499.csv" if nu == 0.499 else None
+            errors = partial(press_errors, name="ball_force.csv", wanted={"nu": nu}, profile=profile)
+            yield press_case(f"rigid ball, ν {nu}, {fidelity}", ball(nu) | {"fidelity": fidelity}, errors)
+        for modulus, nu in ((200.0, 0.499),) if quick else ((50.0, 0.49), (200.0, 0.49), (50.0, 0.499), (200.0, 0.499)):
+            rows = {"nu": nu, "object_modulus_kPa": modulus}
+            profile = "hemisphere_gel_profile_nu0.499_E200.csv" if (modulus, nu) == (200.0, 0.499) else None
+            errors = partial(press_errors, name="hemisphere_force.csv", wanted=rows, profile=profile)
+            yield press_case(f"hemisphere {modulus:g} kPa, ν {nu}, {fidelity}", hemisphere(modulus, nu) | {"fidelity": fidelity}, errors)
+
+
+def reference_table(name: str) -> list[dict[str, float]]:
+    """A table of assets/reference, a dictionary a row; the approach is called `approach_mm` in each."""
+    with (assets_folder() / "reference" / name).open() as file:
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    return [row | {"approach_mm": round(row["approach_mm"] if "approach_mm" in row else row["depth_mm"], 4)} for row in rows]
+
+
+def press_errors(press: Deformation, name: str, wanted: dict[str, float], profile: str | None = None) -> Row:
+    """Largest relative errors over the states that rows `wanted` of the reference `name` have, and the RMS error of the profile."""
+    rows = [row for row in reference_table(name) if all(math.isclose(row[key], value) for key, value in wanted.items())]
+    known = {row["approach_mm"]: row for row in rows}
+    force_errors, radius_errors = [], []
+    for i, approach in enumerate(np.round(press.approach * 1e3, 4)):
+        if float(approach) in known:
+            row = known[float(approach)]
+            force_errors.append(-press.force[i, 2] / row["force_N"] - 1)
+            radius_errors.append(math.sqrt(press.contact_area[i] / math.pi) * 1e3 / row["contact_radius_mm"] - 1)
+    found: Row = {
+        "force_error_percent": round(100 * max(map(abs, force_errors)), 2),
+        "radius_error_percent": round(100 * max(map(abs, radius_errors)), 1),
+        "radius_error_rms_percent": round(100 * float(np.sqrt(np.mean(np.square(radius_errors)))), 1),
+    }
+    return found | ({"profile_rms_um": round(_profile_error(profile, press), 2)} if profile else {})
+
+
+def _profile_error(name: str, press: Deformation) -> float:
+    """Largest RMS difference of u_z [µm] over the states in the profile table, of surface nodes within PROFILE_RADIUS_MM."""
+    table = reference_table(name)
+    place = np.hypot(press.gel.rest[:, 0], press.gel.rest[:, 1]) * 1e3
+    near = place <= PROFILE_RADIUS_MM
+    worst = 0.0
+    for i, approach in enumerate(np.round(press.approach * 1e3, 4)):
+        rows = np.array([(row["r_mm"], row["u_z_mm"]) for row in table if math.isclose(row["approach_mm"], approach)])
+        if len(rows):
+            difference = press.gel.displacement[i, near, 2] * 1e3 - np.interp(place[near], rows[:, 0], rows[:, 1])
+            worst = max(worst, float(np.sqrt(np.mean(difference**2))) * 1e3)
+    return worst
+
+
+def _draw(rows: list[Row], folder: Path) -> None:
+    """speed_against_error.png: force error against seconds of the solve, a line for each object."""
+    rows = [row for row in rows if "force_error_percent" in row]
+    if not rows:
+        return
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    series: dict[str, list[Row]] = {}
+    for row in rows:
+        series.setdefault(row["name"].rsplit(", ", 1)[0], []).append(row)
+    for name, points in series.items():
+        axes.plot([p["seconds"] for p in points], [p["force_error_percent"] for p in points], "o-", label=name, ms=4, lw=1)
+        for p in points:
+            axes.annotate(p["fidelity"][0], (p["seconds"], p["force_error_percent"]), textcoords="offset points", xytext=(4, 3), fontsize=7)
+    axes.set(xscale="log", yscale="log", xlabel="seconds of the solve, 10 states", ylabel="largest force error [%]")
+    axes.set_title("speed against error (f, b, r: fast, balanced, reference)", fontsize=10)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=7)
+    figure.savefig(folder / "speed_against_error.png", dpi=140)
+
+
+SECTION = Section(
+    title="Accuracy",
+    columns=(
+        ("case", "name"), ("unknowns", "unknowns"), ("force error, largest [%]", "force_error_percent"),
+        ("contact radius error, largest [%]", "radius_error_percent"), ("… RMS [%]", "radius_error_rms_percent"),
+        ("profile error, RMS [µm]", "profile_rms_um"), ("overlap [µm]", "penetration_um"), ("seconds", "seconds"),
+    ),
+    cases=_cases,
+    draw=_draw,
+)  # fmt: skip

@@ -1,0 +1,68 @@
+"""Cases that are scenes: solved as the commands solve them, with what every press says of itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from gelsim import pipeline
+from gelsim.bench.section import Case, Layer, Row
+from gelsim.errors import GelsimError, SolveStatus
+from gelsim.results import Deformation
+from gelsim.scene_file import build_scene
+
+# The gel of the reference solutions: flat, 50 kPa; no friction, 1 mm of approach in ten steps.
+REFERENCE_GEL: Layer = {"profile": "flat", "youngs_modulus_kpa": 50.0}
+REFERENCE_PRESS: Layer = {"depth_mm": 1.0, "force_n": "none", "frames": 11}
+SMOOTH: Layer = {"friction_coefficient": 0.0}
+
+
+def hemisphere(modulus: float, nu: float, **press: Any) -> Layer:
+    """A soft hemisphere of R = 5 mm on the reference gel."""
+    return {
+        "gel": REFERENCE_GEL | {"poissons_ratio": nu},
+        "object": {"shape": "hemisphere", "radius_mm": 5.0, "youngs_modulus_kpa": modulus, "poissons_ratio": nu},
+        "contact": SMOOTH,
+        "press": REFERENCE_PRESS | press,
+    }
+
+
+def ball(nu: float) -> Layer:
+    """A rigid ball of R = 5 mm on it."""
+    body = {"shape": "hemisphere", "radius_mm": 5.0, "height_mm": 10.0, "rigid": True}
+    return {"gel": REFERENCE_GEL | {"poissons_ratio": nu}, "object": body, "contact": SMOOTH, "press": REFERENCE_PRESS}
+
+
+def press_case(name: str, scene: Layer, further: Callable[[Deformation], Row] | None = None) -> Case:
+    """A scene as a case; `further` adds to the row what is compared with something else."""
+    return Case(name, lambda: measure(scene, further), scene)
+
+
+def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -> Row:
+    """Solves a scene; a row of plain numbers, also where it fails."""
+    row: Row = {"fidelity": scene.get("fidelity", "balanced")}
+    record = pipeline.Record()
+    start = time.perf_counter()
+    try:
+        made = build_scene(scene)
+        press = pipeline.press(made, device="cpu", record=record, throw=False)
+    except GelsimError as error:
+        return row | {"status": type(error).__name__, "message": str(error), "seconds": round(time.perf_counter() - start, 2)}
+    row |= {
+        "status": press.status.name,
+        "message": press.message if press.status is not SolveStatus.CONVERGED else "",
+        "states": len(press.approach),
+        "states_wanted": made.press.frames,
+        "seconds": round(record.seconds["press"], 2),
+        "unknowns": press.info["unknowns"],
+        "steps_halved": press.info["steps_halved"],
+        "stress_jump": press.info["stress_jump"],
+        "newton_iterations": int(press.newton_iterations.sum()),
+        "factorisations": press.info["factorisations"],
+        "min_jacobian": round(float(press.min_jacobian.min()), 3),
+        "penetration_um": round(float(press.penetration.max()) * 1e6, 2),
+        "approach_mm": round(float(press.approach[-1]) * 1e3, 4),
+        "force_n": [round(float(f), 6) for f in press.force[-1]],
+    }
+    return row | (further(press) if further else {})

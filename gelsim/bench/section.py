@@ -1,0 +1,55 @@
+"""What a section of the benchmark is: cases, how each is measured, and how the rows read as a table."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+"""What is known of a case: plain numbers and texts by field name. `status` is CONVERGED where it was solved."""
+Layer = dict[str, Any]
+"""Part of a scene, as a scene file has it."""
+
+DATA_VARIABLE = "GELSIM_DATA"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command was asked for."""
+
+    quick: bool = False
+    data: Path | None = field(default_factory=lambda: Path(os.environ[DATA_VARIABLE]) if DATA_VARIABLE in os.environ else None)
+    """Folder of measured data of others, which the project does not hold."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of a table."""
+
+    name: str
+    measure: Callable[[], Row]
+    scene: Layer | None = None
+    """The scene that `measure` solves, where it is one."""
+
+
+def _unchanged(rows: list[Row]) -> list[Row]:
+    return rows
+
+
+@dataclass(frozen=True)
+class Section:
+    """A question and its table."""
+
+    title: str
+    columns: tuple[tuple[str, str], ...]
+    """Header and field of each column of the table for people."""
+    cases: Callable[[Options], Iterable[Case]]
+    judge: Callable[[list[Row]], list[Row]] = _unchanged
+    """Rows as measured to rows as written: verdicts, and what takes two rows to say."""
+    remarks: Callable[[list[Row]], str] = lambda rows: ""
+    """What the table says as a whole, Markdown below it."""
+    draw: Callable[[list[Row], Path], None] | None = None
+    """Writes a plot into a folder."""
