@@ -196,6 +196,21 @@ class SurfaceContact:
         closing = rows(-normal * weight[:, None], face, self.xi.numpy()[slipping])
         return along, closing
 
+    def slip(self, x: wp.array) -> Array:
+        """Tangential slip [mm] of every point since the load step began, against the place on the object that it touched then, (P, 3).
+
+        Zero where friction's traction is.
+        """
+        anchor, normal, now = self.anchor_face.numpy(), self.normal.numpy(), x.numpy()
+        held = np.flatnonzero((anchor >= 0) & (self.traction.numpy() != 0.0).any(axis=1))
+        xi = self.anchor_xi.numpy()[held]
+        place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.gel_faces[held // self.points]])
+        touched = np.einsum("qn,qni->qi", tri6_shape(np.column_stack([1 - xi.sum(1), xi])), now[self.object_faces[anchor[held]]])
+        along = place - touched
+        found = np.zeros((len(anchor), 3))
+        found[held] = along - (along * normal[held]).sum(axis=1, keepdims=True) * normal[held]
+        return found
+
     def settle(self) -> None:
         """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points."""
         self.augment()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveError, SolveStatus
+from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.problem import MM, PressProblem
 from gelsim.fem.recording import Recorder
@@ -46,6 +47,7 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
         march = _March(problem, press, depth)
         march.run(depth / (press.frames - 1), press.frames, progress)
     deformation = march.recorder.deformation(march.status, march.message, march.halved)
+    deformation.info["energy"] = march.energy.report()
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         deformation.info["warnings"] = [f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"]
     if march.status is not SolveStatus.CONVERGED and throw:
@@ -89,7 +91,7 @@ class _March:
 
     def __init__(self, problem: PressProblem, press: Press, depth: float) -> None:
         self.problem, self.press, self.depth = problem, press, depth
-        self.recorder = Recorder(problem)
+        self.recorder, self.energy = Recorder(problem), EnergyBalance(problem)
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
         self._previous: _State | None = None
@@ -116,6 +118,7 @@ class _March:
             if self.press.force_n is not None and force >= self.press.force_n:
                 new, force = self._stop_at_force(here, new, force)
                 self.stopped = True
+            self.energy.step(new)
             problem.contact.settle()
             self._previous, self.approach, self.normal_force = here, new, force
             easy += 1
