@@ -53,6 +53,7 @@ class NewtonReport:
     iterations: int
     residual: float
     min_jacobian: float
+    factorisations: int = 0
 
 
 class Newton:
@@ -134,22 +135,30 @@ class Newton:
             return None, 0.0
         return trial, fraction
 
-    def solve(self, reach: float, tolerance: float | None = None) -> NewtonReport:
+    def solve(self, reach: float, tolerance: float | None = None, solve: bool = True) -> NewtonReport:
         """Iterates from the solids' present state, in place, to `tolerance` (default: the options').
 
-        `reach` [mm] bounds the search for contact.
+        `reach` [mm] bounds the search for contact. Without `solve` only contact and forces of the present state are found.
         """
-        goal = tolerance or self.options.tolerance
-        options, solids, contact = self.options, self.solids, self.contact
+        before = self.system.factorisations
+        status, iterations, residual = self._iterate(
+            reach, tolerance or self.options.tolerance, self.options.max_iterations if solve else 0
+        )
+        size = max(residual.imbalance, residual.volume_error)
+        return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before)
+
+    def _iterate(self, reach: float, goal: float, limit: int) -> tuple[SolveStatus, int, Residual]:
+        """Newton's iterations; why they ended, how many there were, and where."""
+        solids, contact = self.solids, self.contact
         residual = self.residual(reach)
         before = np.inf
-        for iteration in range(options.max_iterations + 1):
+        for iteration in range(limit + 1):
             size = max(residual.imbalance, residual.volume_error)
             if not np.isfinite(residual.equations).all():
-                return NewtonReport(SolveStatus.NONFINITE, iteration, size, residual.min_jacobian)
+                return SolveStatus.NONFINITE, iteration, residual
             if iteration > 0 and size <= goal:
-                return NewtonReport(SolveStatus.CONVERGED, iteration, size, residual.min_jacobian)
-            if iteration == options.max_iterations:
+                return SolveStatus.CONVERGED, iteration, residual
+            if iteration == limit:
                 break
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
@@ -159,9 +168,9 @@ class Newton:
             coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
             step = self.system.solve(-residual.equations, coupling)
             if not np.isfinite(step).all():
-                return NewtonReport(SolveStatus.NONFINITE, iteration, size, residual.min_jacobian)
-            trial, fraction = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)
+                return SolveStatus.NONFINITE, iteration, residual
+            trial, _ = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)
             if trial is None:
-                return NewtonReport(SolveStatus.INVERTED_ELEMENT, iteration + 1, size, residual.min_jacobian)
+                return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial
-        return NewtonReport(SolveStatus.MAX_ITERATIONS, options.max_iterations, size, residual.min_jacobian)
+        return SolveStatus.MAX_ITERATIONS, limit, residual

@@ -5,12 +5,14 @@ contact multipliers take the pressure over (contact.py) and Newton answers once 
 it began; after two easy steps it doubles again. Recorded states are equally spaced in approach. `force_n` ends the press where the normal
 force reaches it, found by the secant rule; without `depth_mm` a first march finds how far that is, and a second one records.
 
+The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
+
 Left out: inertia, gravity (0.1 kPa per 10 mm of silicone), viscosity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
+from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import MM, PressProblem
 from gelsim.fem.recording import Recorder
 from gelsim.results import Deformation
@@ -35,36 +38,63 @@ FORCE_TOLERANCE = 2e-3  # of force_n
 SEARCH_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force
 
 
+@dataclass(frozen=True)
+class Request:
+    """What a march asks for: the equilibrium from the solids' present state, or with `solve` False only its contact and forces."""
+
+    reach: float
+    """[mm] Bounds the search for contact."""
+    tolerance: float | None = None
+    solve: bool = True
+
+
+Marching = Generator[Request, NewtonReport, None]
+
+
 def run_press(problem: PressProblem, *, progress: Progress | None = None, throw: bool = True) -> Deformation:
     """Solves a press. `progress(done, total)` is called after each recorded state.
 
     Raises:
         SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
-    press = problem.scene.press
+    marching = march_press(problem, progress)
     with single_threaded_blas():
-        depth = press.depth_mm / MM if press.depth_mm is not None else _find_depth(problem)
-        march = _March(problem, press, depth)
-        march.run(depth / (press.frames - 1), press.frames, progress)
-    deformation = march.recorder.deformation(march.status, march.message, march.halved)
-    deformation.info["energy"] = march.energy.report()
-    if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        deformation.info["warnings"] = [f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"]
-    if march.status is not SolveStatus.CONVERGED and throw:
-        raise SolveError(
-            f"press stopped {march.message}: {march.status.value}; {len(deformation.approach) - 1} of {press.frames - 1} steps were solved "
-            "and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes",
-            deformation,
-        )
+        try:
+            request = next(marching)
+            while True:
+                request = marching.send(problem.newton.solve(request.reach, request.tolerance, request.solve))
+        except StopIteration as end:
+            deformation: Deformation = end.value
+    if throw and deformation.status is not SolveStatus.CONVERGED:
+        raise SolveError(deformation.message, deformation)
     return deformation
 
 
-def _find_depth(problem: PressProblem) -> float:
+def march_press(problem: PressProblem, progress: Progress | None = None) -> Generator[Request, NewtonReport, Deformation]:
+    """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all."""
+    press = problem.scene.press
+    depth = press.depth_mm / MM if press.depth_mm is not None else (yield from _find_depth(problem))
+    march = _March(problem, press, depth)
+    yield from march.run(depth / (press.frames - 1), press.frames, progress)
+    message = ""
+    if march.status is not SolveStatus.CONVERGED:
+        message = (
+            f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "
+            "solved and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes"
+        )
+    deformation = march.recorder.deformation(march.status, message, march.halved)
+    deformation.info["energy"] = march.energy.report()
+    if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
+        deformation.info["warnings"] = [f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"]
+    return deformation
+
+
+def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, float]:
     """Approach [m] at which the force that ends the press is reached, straight down; leaves the problem at first touch again."""
     scene = problem.scene
     limit = _depth_limit(scene)
     march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n), limit)
-    march.run(SEARCH_STEP, int(limit / SEARCH_STEP) + 2, None)
+    yield from march.run(SEARCH_STEP, int(limit / SEARCH_STEP) + 2, None)
     problem.reset()
     # where even that march fails, the recorded one shall run into it and say so
     return march.approach if march.stopped else limit
@@ -97,10 +127,10 @@ class _March:
         self._previous: _State | None = None
         self._iterations = self._factorisations = 0
 
-    def run(self, spacing: float, states: int, progress: Progress | None) -> None:
+    def run(self, spacing: float, states: int, progress: Progress | None) -> Marching:
         """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m]."""
         problem = self.problem
-        problem.newton.residual(1.0)  # first touch
+        yield Request(1.0, solve=False)  # first touch
         problem.contact.settle()
         self._keep(states, progress)
         step, easy = spacing, 0
@@ -108,7 +138,7 @@ class _March:
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
             here = _State(self.approach, problem.solids.state(), problem.contact.save())
-            if not self._attempt(here, new):
+            if not (yield from self._attempt(here, new)):
                 step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing:
                     return
@@ -116,7 +146,7 @@ class _March:
             self.status, self.message = SolveStatus.CONVERGED, ""
             force = -problem.contact_force()[2]
             if self.press.force_n is not None and force >= self.press.force_n:
-                new, force = self._stop_at_force(here, new, force)
+                new, force = yield from self._stop_at_force(here, new, force)
                 self.stopped = True
             self.energy.step(new)
             problem.contact.settle()
@@ -133,34 +163,36 @@ class _March:
         if progress is not None:
             progress(len(self.recorder.approach), states)
 
-    def _attempt(self, here: _State, new: float) -> bool:
+    def _attempt(self, here: _State, new: float) -> Generator[Request, NewtonReport, bool]:
         """Solves at approach `new` [m], from `here`; where that fails everything is put back."""
         problem = self.problem
-        contact, newton = problem.contact, problem.newton
+        contact = problem.contact
         self._predict(here, new)
         reach = 1.0 + 2 * (new - here.approach) * MM
-        before = newton.system.factorisations
-        report = newton.solve(reach, tolerance=ROUGH_TOLERANCE)
-        self._iterations += report.iterations
+        report = yield Request(reach, ROUGH_TOLERANCE)
+        self._count(report)
         overlap = np.inf
         for _ in range(MAX_AUGMENTATIONS):
             if report.status is not SolveStatus.CONVERGED:
                 break
             contact.augment()
-            report = newton.solve(reach)
-            self._iterations += report.iterations
+            report = yield Request(reach)
+            self._count(report)
             last, overlap = overlap, -float(contact.gap.numpy().min())
             if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
                 break
-        self._factorisations += newton.system.factorisations - before
         if report.status is SolveStatus.CONVERGED:
             return True
         self.status = report.status
         self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         problem.solids.set_state(here.fields)
         contact.restore(here.contact)
-        newton.residual(reach)
+        yield Request(reach, solve=False)
         return False
+
+    def _count(self, report: NewtonReport) -> None:
+        self._iterations += report.iterations
+        self._factorisations += report.factorisations
 
     def _predict(self, here: _State, new: float) -> None:
         """Extrapolates the solids and the multipliers; the driven nodes go exactly where they must."""
@@ -187,7 +219,7 @@ class _March:
         travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM])
         return np.column_stack([turned - relative[:, :2], np.zeros(len(relative))]) + travel
 
-    def _stop_at_force(self, here: _State, new: float, force: float) -> tuple[float, float]:
+    def _stop_at_force(self, here: _State, new: float, force: float) -> Generator[Request, NewtonReport, tuple[float, float]]:
         """The approach between `here` and `new` where the normal force is force_n, and the force there; the solids are left at it."""
         wanted = self.press.force_n
         assert wanted is not None
@@ -195,11 +227,11 @@ class _March:
         while abs(force - wanted) > FORCE_TOLERANCE * wanted and high[0] - low[0] > 1e-9:
             fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
             new = low[0] + float(fraction) * (high[0] - low[0])
-            if not self._attempt(here, new):
+            if not (yield from self._attempt(here, new)):
                 break  # a longer step converged: keep to that, a little beyond the force
             force = -self.problem.contact_force()[2]
             low, high = (low, (new, force)) if force > wanted else ((new, force), high)
         else:
             return new, force
-        self._attempt(here, high[0])
+        yield from self._attempt(here, high[0])
         return high[0], -self.problem.contact_force()[2]
