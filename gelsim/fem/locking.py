@@ -1,13 +1,14 @@
-"""A planted fault: the ten-node tet without a pressure field of its own, p = κ(J - 1) at every quadrature point. It locks as ν → ½.
+"""A negative control: the ten-node tet without a pressure field of its own, p = κ(J - 1) at every quadrature point. It locks as ν → ½.
 
-Kernels of the signatures that `gelsim.fem.assembly.Solids` launches, neo-Hookean only, to be put in the place of the real ones.
+Kernels of the signatures that `gelsim.fem.assembly.Solids` launches, neo-Hookean only, to be put in the place of the real ones. No press
+uses them: tests and the benchmark show by them what the checks would say of an element that locks.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from gelsim.fem.assembly import PairPattern, add_block, add_entry, find_pair
+from gelsim.fem.assembly import PairPattern, Solids, add_block, add_entry, find_pair
 from gelsim.fem.hyperelastic import cofactor, volume_change
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
@@ -83,3 +84,8 @@ def locked_tangent(
                 if tets[t, a] != tets[t, b]:
                     offset = find_pair(pattern, wp.min(tets[t, a], tets[t, b]), wp.max(tets[t, a], tets[t, b]))
                 add_entry(pattern, values, tets[t, a], 3, tets[t, b], 3, offset, -w * shape[q, a] * shape[q, b] / kappa[t])
+
+
+def lock(solids: Solids) -> None:
+    """Puts the faulty element in the place of the real one, in place."""
+    solids._residual, solids._tangent = locked_residual, locked_tangent
