@@ -17,7 +17,7 @@ binary search.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import warp as wp
@@ -492,7 +492,6 @@ class Solids:
         self.free = np.concatenate([~fixed & in_solid[:, None], vertex[:, None]], axis=1)
         self.unknowns = int(self.free.sum())
         self.equation = np.where(self.free, np.cumsum(self.free.ravel()).reshape(self.free.shape) - 1, -1)
-        self.keys = element_pairs(tets, self.node_count)
         self.vertex_volume = np.ones(self.node_count)
         share = np.einsum("tq,qb->tb", quadrature.weights, quadrature.pressure_shape)
         summed = np.bincount(tets[:, :4].ravel(), share.ravel(), self.node_count)
@@ -512,7 +511,12 @@ class Solids:
             array(law, OgdenConstants if ogden else wp.vec3d), array(kappa, wp.float64),
         ]  # fmt: skip
         self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
-        self._element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)
+        self.element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)
+
+    @cached_property
+    def keys(self) -> NDArray[np.int64]:
+        """Node pairs that share a tet (`element_pairs`)."""
+        return element_pairs(self.tets, self.node_count)
 
     def positions(self) -> wp.array:
         return self._rest + self.displacement
@@ -521,10 +525,13 @@ class Solids:
         """∂Π/∂u (N, 3) [mN], ∂Π/∂p (N,) [mm³], and the smallest det F over all quadrature points."""
         force = wp.zeros(self.node_count, dtype=wp.vec3d, device=self.device)
         volume = wp.zeros(self.node_count, dtype=wp.float64, device=self.device)
-        wp.launch(
-            self._residual, len(self.tets), [*self._inputs, force, volume, self._element_energy, self._element_jacobian], device=self.device
-        )
-        return force.numpy(), volume.numpy(), float(self._element_jacobian.numpy().min())
+        self.add_internal_force(force, volume)
+        return force.numpy(), volume.numpy(), float(self.element_jacobian.numpy().min())
+
+    def add_internal_force(self, force: wp.array, volume: wp.array) -> None:
+        """Adds ∂Π/∂u and ∂Π/∂p; each element's energy and smallest det F are kept."""
+        outputs = [force, volume, self._element_energy, self.element_jacobian]
+        wp.launch(self._residual, len(self.tets), [*self._inputs, *outputs], device=self.device)
 
     def energy(self) -> float:
         """Stored energy of the last `internal_force` [mN·mm = µJ]."""

@@ -24,7 +24,10 @@ gel's faces (the gel carries the finer mesh, and `penetration` is what shows if 
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,17 +36,32 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from gelsim.fem.assembly import PairPattern
-from gelsim.fem.contact_kernels import closest_points, contact_force, contact_tangent, friction_force, friction_tangent, vec6d
+from gelsim.fem.contact_kernels import (
+    Layout,
+    closest_points,
+    contact_force,
+    contact_tangent,
+    friction_force,
+    friction_tangent,
+    place_points,
+    vec6d,
+)
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
 from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]
 
+FROZEN = 1e3  # the same, where points keep their faces
 OVERHANG = 0.1  # of a face's side: how far beside its face a point may lie before it changes to the neighbour
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
     [[[0, 0], [0.5, 0], [0, 0.5]], [[0.5, 0], [1, 0], [0.5, 0.5]], [[0, 0.5], [0.5, 0.5], [0, 1]], [[0.5, 0], [0.5, 0.5], [0, 0.5]]]
 )
+
+
+# Arrays of SurfaceContact with an entry a point that change, and that do not (stiffnesses: an entry a face).
+_STATE = ("face", "xi", "normal", "gap", "pressure", "traction", "shift", "anchor_face", "anchor_xi", "multiplier")
+_CONSTANTS = ("weight", "stiffness", "stick")
 
 
 @dataclass(frozen=True)
@@ -83,9 +101,7 @@ class SurfaceContact:
         self.shape = array(self.shape_values, vec6d)
         self.weight = array(self.rest_weight, wp.float64)
         self.corners = array(_SUB_CORNERS, wp.vec2d)
-        flat = split_faces(object_faces)
-        self.used, local = np.unique(flat, return_inverse=True)
-        self.mesh = wp.Mesh(points=array(rest[self.used], wp.vec3f), indices=array(local.ravel(), wp.int32))
+        self.scenes, self.nodes = 1, len(rest)
         self.face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.xi = wp.zeros(count, dtype=wp.vec2d, device=device)
         self.normal = wp.zeros(count, dtype=wp.vec3d, device=device)
@@ -114,24 +130,72 @@ class SurfaceContact:
             self._projections.append((np.flatnonzero(free), splu(matrix[free][:, free])))
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
+        self._share()
 
-    @property
+    def _share(self) -> None:
+        """What the kernels take once a scene, and how they find their scene."""
+        self.layout = Layout()
+        self.layout.points, self.layout.faces, self.layout.nodes = self.points, len(self.gel_faces), self.nodes
+        self.overhang = wp.full(self.scenes, OVERHANG, dtype=wp.float64, device=self.device)
+        self.geometric = wp.zeros(self.scenes, dtype=wp.float64, device=self.device)
+        self.friction = wp.full(self.scenes, self.law.friction, dtype=wp.float64, device=self.device)
+
+    @staticmethod
+    def join(contacts: Sequence[SurfaceContact]) -> SurfaceContact:
+        """One contact of many scenes with the same faces, for `update`, `add_force` and `add_tangent` in one launch each.
+
+        The scenes' own contacts go on as views of its state. Its law is the first one's but for stiffnesses and friction.
+        """
+        joint = copy.copy(contacts[0])
+        joint.scenes = len(contacts)
+        joint.__dict__.pop("_search", None)
+        for name in _STATE + _CONSTANTS:
+            arrays = [getattr(contact, name) for contact in contacts]
+            length = len(arrays[0])
+            whole = wp.empty(len(contacts) * length, dtype=arrays[0].dtype, device=joint.device)
+            for number, (contact, array) in enumerate(zip(contacts, arrays, strict=True)):
+                part = whole[number * length : (number + 1) * length]
+                wp.copy(part, array)
+                if name in _STATE:
+                    setattr(contact, name, part)
+            setattr(joint, name, whole)
+        joint._share()
+        joint.friction.assign([contact.law.friction for contact in contacts])
+        joint.frictional = any(contact.frictional for contact in contacts)
+        return joint
+
+    @cached_property
+    def _search(self) -> tuple[wp.Mesh, wp.array]:
+        """The object's triangles in a tree, those of all scenes in one, and the nodes of a scene that are their corners."""
+        used, local = np.unique(split_faces(self.object_faces), return_inverse=True)
+        indices = local.ravel() + len(used) * np.arange(self.scenes)[:, None]
+        points = wp.zeros(self.scenes * len(used), dtype=wp.vec3f, device=self.device)
+        triangles = wp.array(indices.ravel(), dtype=wp.int32, device=self.device)
+        return wp.Mesh(points=points, indices=triangles), wp.array(used, dtype=wp.int32, device=self.device)
+
+    @cached_property
     def frictional(self) -> bool:
         return self.law.friction != 0.0
 
     def _launch(self, kernel: wp.Kernel, *inputs: object) -> None:
         """One thread a quadrature point; every kernel begins with the gel's faces and their shape functions."""
-        wp.launch(kernel, len(self.rest_weight), [self.slave, self.shape, self.points, *inputs], device=self.device)
+        wp.launch(kernel, len(self.weight), [self.slave, self.shape, self.layout, *inputs], device=self.device)
 
     def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
         """Closest points and gaps of all quadrature points within `reach` [mm] for positions x.
 
         `freeze` keeps every near point on the (extended) face it has: on both sides of a sharp edge points could change flank for ever.
         """
-        self.mesh.points.assign(x.numpy()[self.used].astype(np.float32))
-        self.mesh.refit()
-        overhang = 1e3 if freeze else OVERHANG
-        self._launch(closest_points, x, self.mesh.id, self.master, self.corners, reach, overhang, self.face, self.xi, self.normal, self.gap)
+        self.overhang.fill_(FROZEN if freeze else OVERHANG)
+        self.find(x, reach)
+
+    def find(self, x: wp.array, reach: float) -> None:
+        """`update` with the overhang that stands."""
+        mesh, used = self._search
+        wp.launch(place_points, len(mesh.points), [x, used, self.nodes, mesh.points], device=self.device)
+        mesh.refit()
+        pairing = [self.overhang, self.face, self.xi, self.normal, self.gap]
+        self._launch(closest_points, x, mesh.id, self.master, self.corners, reach, *pairing)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""
@@ -141,7 +205,7 @@ class SurfaceContact:
     def _friction_inputs(self) -> list[object]:
         """What the kernels of friction share."""
         pairing = [self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi]
-        return [*pairing, self.shift, self.law.friction, self.stick]
+        return [*pairing, self.shift, self.friction, self.stick]
 
     def add_force(self, x: wp.array, force: wp.array) -> None:
         """Adds ∂φ/∂u of the contact and friction of the last `update` to `force`."""
@@ -155,11 +219,16 @@ class SurfaceContact:
         Without `geometric` only its positive part p' ∇g ∇gᵀ, and the secant of friction: far from equilibrium the pressures of a wrong
         overlap would make the rest indefinite.
         """
+        self.geometric.fill_(1.0 if geometric else 0.0)
         self.missing.zero_()
-        self._launch(contact_tangent, x, *self._normal_inputs(), 1.0 if geometric else 0.0, pattern, values, self.missing)
-        if self.frictional:
-            self._launch(friction_tangent, x, *self._friction_inputs(), 0.0 if geometric else 1.0, pattern, values, self.missing)
+        self.add_stiffness(x, pattern, values)
         return int(self.missing.numpy()[0]) == 0
+
+    def add_stiffness(self, x: wp.array, pattern: PairPattern, values: wp.array) -> None:
+        """`add_tangent` with the `geometric` that stands; sets `missing` where the pattern lacks a pair."""
+        self._launch(contact_tangent, x, *self._normal_inputs(), self.geometric, pattern, values, self.missing)
+        if self.frictional:
+            self._launch(friction_tangent, x, *self._friction_inputs(), self.geometric, pattern, values, self.missing)
 
     def slip_coupling(self, equation: NDArray[np.int32], unknowns: int) -> tuple[sp.csr_matrix, sp.csr_matrix] | None:
         """The part of the tangent by which pressure drives slipping friction, ∂(μp)/∂u, as factors (B_t, B_n) of B_tᵀ B_n.
@@ -253,13 +322,13 @@ class SurfaceContact:
         self.set_multipliers(np.zeros_like(self.multipliers))
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Node pairs (gel, object) that contact may couple: of faces closer than `margin` [mm], and of the object faces around those."""
+        """Node pairs (gel, object) that contact may couple in any scene: of faces closer than `margin` [mm], and of the faces around those."""
+        gel_face = np.arange(len(self.weight)) // self.points % len(self.gel_faces)
         near = (self.gap.numpy() < margin) & (self.face.numpy() >= 0)
-        points = np.flatnonzero(near)
-        pairs = [np.stack([points // self.points, self.face.numpy()[near]], 1)]
+        pairs = [np.stack([gel_face[near], self.face.numpy()[near]], 1)]
         if self.frictional:
             held = (self.anchor_face.numpy() >= 0) & near
-            pairs.append(np.stack([np.flatnonzero(held) // self.points, self.anchor_face.numpy()[held]], 1))
+            pairs.append(np.stack([gel_face[held], self.anchor_face.numpy()[held]], 1))
         pairs = np.unique(np.concatenate(pairs), axis=0)
         ring_start, ring = self._rings()
         length = np.diff(ring_start)[pairs[:, 1]]

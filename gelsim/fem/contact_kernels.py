@@ -1,4 +1,8 @@
-"""Warp kernels of contact: closest points on six-node faces, penalty and friction tractions, their tangents (equations: contact.py)."""
+"""Warp kernels of contact: closest points on six-node faces, penalty and friction tractions, their tangents (equations: contact.py).
+
+One launch serves any number of scenes with the same faces: points and nodes of one scene after those of the other (`Layout`), faces and
+their numbers the scene's own.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,44 @@ from gelsim.fem.assembly import PairPattern, add_block, find_pair
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
+
+
+@wp.struct
+class Layout:
+    """How points and nodes are numbered: `points` a face, `faces` of the gel and `nodes` of both bodies a scene."""
+
+    points: wp.int32
+    faces: wp.int32
+    nodes: wp.int32
+
+
+# Scenes are queried in one tree of triangles, this far from each other [mm].
+SPACING = wp.constant(200.0)
+
+
+@wp.func
+def apart(scene: wp.int32) -> wp.vec3f:
+    """Where a scene stands in that tree: on a lattice, as single precision holds micrometres within a few metres only."""
+    return SPACING * wp.vec3f(float(scene % 8), float((scene // 8) % 8), float(scene // 64))
+
+
+@wp.kernel(enable_backward=False)
+def place_points(x: wp.array(dtype=wp.vec3d), used: wp.array(dtype=wp.int32), nodes: wp.int32, points: wp.array(dtype=wp.vec3f)):
+    """The corners of the triangles that are searched, `used` of each scene's `nodes`."""
+    i = wp.tid()
+    scene = i // used.shape[0]
+    points[i] = wp.vec3f(x[scene * nodes + used[i % used.shape[0]]]) + apart(scene)
+
+
+@wp.func
+def scene_of(layout: Layout, i: wp.int32) -> wp.int32:
+    return i // (layout.points * layout.faces)
+
+
+@wp.func
+def gel_face(layout: Layout, i: wp.int32) -> wp.int32:
+    """The face of point i, in its scene's numbering."""
+    return (i // layout.points) % layout.faces
 
 
 @wp.func
@@ -43,10 +85,11 @@ def tri6_d2(xi: wp.vec2d) -> vec6d:
 
 
 @wp.func
-def on_face(x: wp.array(dtype=wp.vec3d), faces: wp.array2d(dtype=wp.int32), f: wp.int32, n: vec6d) -> wp.vec3d:
+def on_face(x: wp.array(dtype=wp.vec3d), base: wp.int32, faces: wp.array2d(dtype=wp.int32), f: wp.int32, n: vec6d) -> wp.vec3d:
+    """The point of a face whose scene's nodes begin at `base`."""
     y = wp.vec3d()
     for a in range(6):
-        y += n[a] * x[faces[f, a]]
+        y += n[a] * x[base + faces[f, a]]
     return y
 
 
@@ -84,11 +127,12 @@ def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
 
 
 @wp.func
-def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), faces: wp.array2d(dtype=wp.int32), f: wp.int32, xi: wp.vec2d) -> wp.vec2d:
+def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32, faces: wp.array2d(dtype=wp.int32), f: wp.int32,
+                 xi: wp.vec2d) -> wp.vec2d:  # fmt: skip
     """One Gauss-Newton step of |x - y(ξ)|²."""
-    y1 = on_face(x, faces, f, tri6_d1(xi))
-    y2 = on_face(x, faces, f, tri6_d2(xi))
-    r = position - on_face(x, faces, f, tri6(xi))
+    y1 = on_face(x, base, faces, f, tri6_d1(xi))
+    y2 = on_face(x, base, faces, f, tri6_d2(xi))
+    r = position - on_face(x, base, faces, f, tri6(xi))
     a11 = wp.dot(y1, y1)
     a12 = wp.dot(y1, y2)
     a22 = wp.dot(y2, y2)
@@ -100,44 +144,45 @@ def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), faces: wp.arra
 
 @wp.kernel(enable_backward=False)
 def closest_points(
-    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), reach: wp.float32,
-    overhang: wp.float64, face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
-    gap: wp.array(dtype=wp.float64),
+    overhang: wp.array(dtype=wp.float64), face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
 
     Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
     """
     i = wp.tid()
-    position = on_face(x, slave, i // points, shape[i % points])
+    base = scene_of(layout, i) * layout.nodes
+    position = on_face(x, base, slave, gel_face(layout, i), shape[i % layout.points])
     f = face[i]
     xi = xi_out[i]
     kept = bool(False)
     if f >= 0 and wp.abs(gap[i]) < wp.float64(0.1):
         for _ in range(6):
-            xi = step_to_foot(position, x, master, f, xi)
+            xi = step_to_foot(position, x, base, master, f, xi)
         inside = wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
-        if inside > -overhang:
-            kept = wp.length(position - on_face(x, master, f, tri6(xi))) < wp.float64(0.1)
+        if inside > -overhang[scene_of(layout, i)]:
+            kept = wp.length(position - on_face(x, base, master, f, tri6(xi))) < wp.float64(0.1)
     clamped = bool(False)
     if not kept:
-        query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position), reach)
+        query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position) + apart(scene_of(layout, i)), reach)
         face[i] = -1
         gap[i] = wp.float64(1.0e9)
         if not query.result:
             return
-        f = query.face // 4
+        f = (query.face // 4) % master.shape[0]
         sub = query.face % 4
         u = wp.float64(query.u)
         v = wp.float64(query.v)
         xi = u * corners[sub, 0] + v * corners[sub, 1] + (wp.float64(1.0) - u - v) * corners[sub, 2]
         for _ in range(6):
-            free = step_to_foot(position, x, master, f, xi)
+            free = step_to_foot(position, x, base, master, f, xi)
             xi = clamp_to_face(free)
             clamped = wp.length_sq(free - xi) > wp.float64(1.0e-12)
-    n = wp.normalize(wp.cross(on_face(x, master, f, tri6_d1(xi)), on_face(x, master, f, tri6_d2(xi))))
-    r = position - on_face(x, master, f, tri6(xi))
+    n = wp.normalize(wp.cross(on_face(x, base, master, f, tri6_d1(xi)), on_face(x, base, master, f, tri6_d2(xi))))
+    r = position - on_face(x, base, master, f, tri6(xi))
     d = wp.length(r)
     g = wp.dot(r, n)
     # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it
@@ -151,57 +196,61 @@ def closest_points(
 
 @wp.kernel(enable_backward=False)
 def contact_force(
-    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, weight: wp.array(dtype=wp.float64),
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, weight: wp.array(dtype=wp.float64),
     master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
     gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
     pressure: wp.array(dtype=wp.float64), force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
     i = wp.tid()
+    base = scene_of(layout, i) * layout.nodes
     p = wp.float64(0.0)
     if face[i] >= 0:
-        k = stiffness[i // points]
+        k = stiffness[i // layout.points]
         p = penalty_pressure(multiplier[i] / k - gap[i], k, eps)
     pressure[i] = p
     if p > wp.float64(0.0):
         t = (weight[i] * p) * normal[i]
-        m = shape[i % points]
+        m = shape[i % layout.points]
         n = tri6(xi[i])
         for a in range(6):
-            wp.atomic_add(force, slave[i // points, a], -m[a] * t)
-            wp.atomic_add(force, master[face[i], a], n[a] * t)
+            wp.atomic_add(force, base + slave[gel_face(layout, i), a], -m[a] * t)
+            wp.atomic_add(force, base + master[face[i], a], n[a] * t)
 
 
 @wp.func
-def slip_trial(x: wp.array(dtype=wp.vec3d), position: wp.vec3d, master: wp.array2d(dtype=wp.int32), f: wp.int32, s: vec6d,
-               n: wp.vec3d, shift: wp.vec3d, kt: wp.float64) -> wp.vec3d:  # fmt: skip
+def slip_trial(x: wp.array(dtype=wp.vec3d), base: wp.int32, position: wp.vec3d, master: wp.array2d(dtype=wp.int32), f: wp.int32,
+               s: vec6d, n: wp.vec3d, shift: wp.vec3d, kt: wp.float64) -> wp.vec3d:  # fmt: skip
     """Trial traction λ_t + k_t e in the tangent plane of n: what the gel drags the object with."""
-    t = shift + kt * (position - on_face(x, master, f, s))
+    t = shift + kt * (position - on_face(x, base, master, f, s))
     return t - wp.dot(t, n) * n
 
 
 @wp.kernel(enable_backward=False)
 def friction_force(
-    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
-    shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stiffness: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d),
-    force: wp.array(dtype=wp.vec3d),
+    shift: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64),
+    traction: wp.array(dtype=wp.vec3d), force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
     """`traction` becomes that on the gel."""
     i = wp.tid()
+    base = scene_of(layout, i) * layout.nodes
     traction[i] = wp.vec3d()
     if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
         return
-    m = shape[i % points]
+    m = shape[i % layout.points]
     s = tri6(anchor_xi[i])
-    t = slip_trial(x, on_face(x, slave, i // points, m), master, anchor_face[i], s, normal[i], shift[i], stiffness[i // points])
+    position = on_face(x, base, slave, gel_face(layout, i), m)
+    t = slip_trial(x, base, position, master, anchor_face[i], s, normal[i], shift[i], stick[i // layout.points])
     size = wp.length(t)
+    mu = friction[scene_of(layout, i)]
     if mu >= wp.float64(0.0) and size > mu * pressure[i]:
         t = (mu * pressure[i] / size) * t
     traction[i] = -t
     for a in range(6):
-        wp.atomic_add(force, slave[i // points, a], (weight[i] * m[a]) * t)
-        wp.atomic_add(force, master[anchor_face[i], a], (-weight[i] * s[a]) * t)
+        wp.atomic_add(force, base + slave[gel_face(layout, i), a], (weight[i] * m[a]) * t)
+        wp.atomic_add(force, base + master[anchor_face[i], a], (-weight[i] * s[a]) * t)
 
 
 @wp.func
@@ -218,15 +267,16 @@ def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), 
 
 @wp.kernel(enable_backward=False)
 def contact_tangent(
-    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64),
-    stiffness: wp.array(dtype=wp.float64), eps: wp.float64, geometric: wp.float64,
+    stiffness: wp.array(dtype=wp.float64), eps: wp.float64, geometric: wp.array(dtype=wp.float64),
     pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
+    base = scene_of(layout, i) * layout.nodes
     f = face[i]
-    k = stiffness[i // points]
+    k = stiffness[i // layout.points]
     s0 = multiplier[i] / k - gap[i]
     if f < 0 or s0 <= wp.float64(0.0):
         return
@@ -234,12 +284,12 @@ def contact_tangent(
     p = w * penalty_pressure(s0, k, eps)
     slope = w * penalty_slope(s0, k, eps)
     n = normal[i]
-    m = shape[i % points]
+    m = shape[i % layout.points]
     s = tri6(xi[i])
     s1 = tri6_d1(xi[i])
     s2 = tri6_d2(xi[i])
-    y1 = on_face(x, master, f, s1)
-    y2 = on_face(x, master, f, s2)
+    y1 = on_face(x, base, master, f, s1)
+    y2 = on_face(x, base, master, f, s2)
     a11 = wp.dot(y1, y1)
     a12 = wp.dot(y1, y2)
     a22 = wp.dot(y2, y2)
@@ -249,14 +299,14 @@ def contact_tangent(
     # second derivatives of the six shape functions are constant
     four = wp.float64(4.0)
     eight = wp.float64(8.0)
-    x0 = x[master[f, 0]]
-    x3 = x[master[f, 3]]
-    x5 = x[master[f, 5]]
-    b11 = wp.dot(n, four * (x0 + x[master[f, 1]]) - eight * x3)
-    b22 = wp.dot(n, four * (x0 + x[master[f, 2]]) - eight * x5)
-    b12 = wp.dot(n, four * (x0 - x3 + x[master[f, 4]] - x5))
+    x0 = x[base + master[f, 0]]
+    x3 = x[base + master[f, 3]]
+    x5 = x[base + master[f, 5]]
+    b11 = wp.dot(n, four * (x0 + x[base + master[f, 1]]) - eight * x3)
+    b22 = wp.dot(n, four * (x0 + x[base + master[f, 2]]) - eight * x5)
+    b12 = wp.dot(n, four * (x0 - x3 + x[base + master[f, 4]] - x5))
     curvature = b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1))
-    p = geometric * p
+    p = geometric[scene_of(layout, i)] * p
     core = slope * wp.outer(n, n) + p * curvature
     side1 = p * wp.outer(c1, n)
     side2 = p * wp.outer(c2, n)
@@ -266,10 +316,10 @@ def contact_tangent(
         da1 = wp.float64(0.0)
         da2 = wp.float64(0.0)
         if a < 6:
-            na = slave[i // points, a]
+            na = base + slave[gel_face(layout, i), a]
             ca = m[a]
         else:
-            na = master[f, a - 6]
+            na = base + master[f, a - 6]
             ca = -s[a - 6]
             da1 = s1[a - 6]
             da2 = s2[a - 6]
@@ -279,10 +329,10 @@ def contact_tangent(
             db1 = wp.float64(0.0)
             db2 = wp.float64(0.0)
             if b < 6:
-                nb = slave[i // points, b]
+                nb = base + slave[gel_face(layout, i), b]
                 cb = m[b]
             else:
-                nb = master[f, b - 6]
+                nb = base + master[f, b - 6]
                 cb = -s[b - 6]
                 db1 = s1[b - 6]
                 db2 = s2[b - 6]
@@ -293,43 +343,46 @@ def contact_tangent(
 
 @wp.kernel(enable_backward=False)
 def friction_tangent(
-    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), points: wp.int32, x: wp.array(dtype=wp.vec3d),
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
-    shift: wp.array(dtype=wp.vec3d), mu: wp.float64, stick: wp.array(dtype=wp.float64), secant: wp.float64,
+    shift: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64),
+    geometric: wp.array(dtype=wp.float64),
     pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
+    base = scene_of(layout, i) * layout.nodes
     if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
         return
-    m = shape[i % points]
+    m = shape[i % layout.points]
     s = tri6(anchor_xi[i])
     n = normal[i]
-    kt = stick[i // points]
-    t = slip_trial(x, on_face(x, slave, i // points, m), master, anchor_face[i], s, n, shift[i], kt)
+    kt = stick[i // layout.points]
+    t = slip_trial(x, base, on_face(x, base, slave, gel_face(layout, i), m), master, anchor_face[i], s, n, shift[i], kt)
     tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
     stiffness = kt * tangential
     size = wp.length(t)
+    mu = friction[scene_of(layout, i)]
     if mu >= wp.float64(0.0) and size > mu * pressure[i]:
         direction = t / size
-        stiffness = (kt * mu * pressure[i] / size) * (tangential - (wp.float64(1.0) - secant) * wp.outer(direction, direction))
+        stiffness = (kt * mu * pressure[i] / size) * (tangential - geometric[scene_of(layout, i)] * wp.outer(direction, direction))
     stiffness = weight[i] * stiffness
     for a in range(12):
         na = int(0)
         ca = wp.float64(0.0)
         if a < 6:
-            na = slave[i // points, a]
+            na = base + slave[gel_face(layout, i), a]
             ca = m[a]
         else:
-            na = master[anchor_face[i], a - 6]
+            na = base + master[anchor_face[i], a - 6]
             ca = -s[a - 6]
         for b in range(a, 12):
             nb = int(0)
             cb = wp.float64(0.0)
             if b < 6:
-                nb = slave[i // points, b]
+                nb = base + slave[gel_face(layout, i), b]
                 cb = m[b]
             else:
-                nb = master[anchor_face[i], b - 6]
+                nb = base + master[anchor_face[i], b - 6]
                 cb = -s[b - 6]
             add_stencil_block(pattern, values, na, nb, (ca * cb) * stiffness, missing)

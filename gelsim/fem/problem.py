@@ -6,6 +6,8 @@ driven.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -81,8 +83,18 @@ class PressProblem:
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         faces = (object_faces + n).astype(np.int32)
         self.contact = SurfaceContact(gel.groups["coated"], faces, rest, self.law, device, contact_points, gel.symmetry)
-        self.newton = Newton(self.solids, self.contact, NewtonOptions(tolerance or TOLERANCES[scene.fidelity]))
+        self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
         self.copies = 2 ** len(gel.symmetry)
+
+    @cached_property
+    def newton(self) -> Newton:
+        """The solver of this press by itself."""
+        return Newton(self.solids, self.contact, self.options)
+
+    @cached_property
+    def linear_solver(self) -> str:
+        """Name of what solves its equations, for the report."""
+        return self.newton.system.direct.name
 
     def reset(self) -> None:
         """Back to rest, with nothing remembered of contact."""

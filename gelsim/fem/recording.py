@@ -53,7 +53,7 @@ class Recorder:
     def deformation(self, status: SolveStatus, message: str, steps_halved: int) -> Deformation:
         """Everything kept so far, reflected to the whole body."""
         problem = self.problem
-        gel, body, system = problem.gel, problem.body, problem.newton.system
+        gel, body = problem.gel, problem.body
         everything = np.array(self._displacement)
         coated = np.unique(gel.groups["coated"])
         pressure = np.array(self._pressure)[:, coated]
@@ -84,9 +84,8 @@ class Recorder:
                 "steps_halved": steps_halved,
                 "symmetry": sorted(gel.symmetry),
                 "rigid_object": not isinstance(body, TetMesh),
-                "linear_solver": system.direct.name,
-                "factorisations": system.factorisations,
-                "solves": system.solves,
+                "linear_solver": problem.linear_solver,
+                "factorisations": int(numbers["linear_iterations"].sum()),
                 "stress_jump": jump,
                 "error_estimate": {"force": FORCE_ERROR_PER_JUMP * jump},
             },
