@@ -9,11 +9,12 @@ import warp as wp
 from fem_fixtures import MM, Array, box_mesh, solids_of, tangent_of
 
 from gelsim.fem.assembly import Solids, build_pattern, element_pairs, pair_keys
-from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, find_mkl, make_solver
+from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, find_mkl, float64_factors, make_solver
 from gelsim.fem.reference import element_tangent
 from gelsim.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
+needs_mkl = pytest.mark.skipif(find_mkl() is None, reason="no MKL here")
 
 
 def small_solids(nu: float = 0.4999, cells: int = 2) -> Solids:
@@ -104,7 +105,8 @@ def test_system_with_the_unsymmetric_part_of_friction() -> None:
     pattern = build_pattern(solids.free, solids.keys, "cpu")
     values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
     solids.add_tangent(pattern.pairs, values)
-    system = SymmetricSystem()
+    with float64_factors():
+        system = SymmetricSystem()
     system.analyse(pattern.indptr, pattern.indices)
     system.factorise(values.numpy())
     rng = np.random.default_rng(12)
@@ -119,6 +121,42 @@ def test_system_with_the_unsymmetric_part_of_friction() -> None:
     # of rank 3: GMRES would end exactly after four steps; it may stop at its tolerance before, in the preconditioned residual
     assert np.linalg.norm(found - wanted) <= 10 * SymmetricSystem.KRYLOV_TOLERANCE * np.linalg.norm(wanted)
     assert system.factorisations == 1
+    assert np.linalg.norm(system.product(plain) - whole @ plain) <= 1e-12 * np.linalg.norm(right)
+
+
+@needs_mkl
+def test_float32_factors_are_backward_stable() -> None:
+    solids = small_solids(0.4999)
+    right = np.random.default_rng(6).standard_normal(solids.unknowns)
+    matrix = tangent_of(solids)
+    x = solved(PardisoSolver(threads=1, single=True), solids, right)
+    rounding = np.linalg.norm(matrix @ x - right) / (sp.linalg.norm(matrix) * np.linalg.norm(x))
+    # the bound of the float64 test in float32's rounding; and it must be float32, or nothing was saved
+    assert 100 * EPS < rounding <= 10 * np.finfo(np.float32).eps
+
+
+@needs_mkl
+def test_a_poor_float32_factor_is_replaced() -> None:
+    """A chain of springs, the softest of 1 among many of 1e9: in float32 1e9 + 1 is 1e9."""
+    count = 40
+    stiffness = np.full(count, 1e9)
+    stiffness[0] = 1.0
+    chain = sp.diags([stiffness + np.append(stiffness[1:], 0.0), -stiffness[1:]], [0, 1], format="csr")
+    right = np.ones(count)
+    whole = chain.toarray()
+    whole = whole + np.triu(whole, 1).T
+    system = SymmetricSystem()
+    system.analyse(chain.indptr.astype(np.int32), chain.indices.astype(np.int32))
+    system.factorise(chain.data)
+    assert system.direct.single
+    # float64's rounding times the condition, 1e9·40²; all of the load goes through the soft spring, so x is count/1 and a little more
+    x = system.solve(right, None)
+    assert np.abs(x - count).max() <= 1e-3 * count
+    assert np.linalg.norm(whole @ x - right) <= 10 * EPS * np.linalg.norm(whole) * np.linalg.norm(x)
+    assert not system.direct.single
+    assert system.factorisations == 2
+    with float64_factors():
+        assert not SymmetricSystem().direct.single
 
 
 def test_a_solver_without_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
