@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gelsim.bench.presses import press_case
-from gelsim.bench.section import Case, Layer, Options, Section
+from gelsim.bench.section import Case, Layer, Options, Row, Section
 
 
 def _cases(options: Options) -> Iterator[Case]:
@@ -13,6 +13,9 @@ def _cases(options: Options) -> Iterator[Case]:
         scene = {"object": {"shape": "hemisphere"} | (object or {}), "press": {"frames": 6} | (press or {}), "fidelity": "fast"} | sections
         return press_case(name, scene)
 
+    plain = case("float32 factors, as always")
+    yield plain
+    yield Case("the same with float64 factors", lambda: _in_float64(plain), plain.scene)
     stick: Layer = {"friction_coefficient": "stick"}
     for nu in (0.49, 0.4999, 0.49999):
         yield case(f"ν {nu} of both", {"poissons_ratio": nu}, gel={"poissons_ratio": nu})
@@ -38,6 +41,13 @@ def _cases(options: Options) -> Iterator[Case]:
     yield case("50 load steps", press={"frames": 51})
     yield case("mirrored: offset and tilt +", press={"offset_mm": [2.0, 0.0], "tilt_deg": [0.0, 8.0]})
     yield case("mirrored: offset and tilt -", press={"offset_mm": [-2.0, 0.0], "tilt_deg": [0.0, -8.0]})
+
+
+def _in_float64(case: Case) -> Row:
+    from gelsim.fem.linear import float64_factors
+
+    with float64_factors():
+        return case.measure()
 
 
 SECTION = Section(

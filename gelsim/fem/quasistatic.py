@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
-ROUGH_TOLERANCE = 2e-2  # of the first solve of a step, before the multipliers move
+ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
 OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FORCE_TOLERANCE = 2e-3  # of force_n

@@ -1,4 +1,5 @@
-"""Mirrored scenes give mirrored presses, a quarter gives what the whole gives, and turning the scene turns the press."""
+"""Mirrored scenes give mirrored presses, a quarter gives what the whole gives, turning the scene turns the press, and it does not matter in
+which precision Newton's matrices are factorised."""
 
 from __future__ import annotations
 
@@ -6,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem_fixtures import TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene
+from fem_fixtures import TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene, flat_gel, problem_of, soft_cap, solved
 
+from gelsim.fem.linear import find_mkl, float64_factors
 from gelsim.results import Deformation
 
 # Two presses that should be equal end at different points within Newton's tolerance; friction remembers it from step to step.
@@ -78,3 +80,16 @@ def test_turned_scene_is_turned() -> None:
     found = along_x.gel.displacement[:, by_place(along_x.gel.rest)]
     # ... which friction remembers; a micrometre of 0.3 mm
     assert np.abs(found - displacement).max() <= 4e-3 * np.abs(displacement).max()
+
+
+@pytest.mark.skipif(find_mkl() is None, reason="no MKL here: nothing is factorised in float32")
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_float32_and_float64_factors_agree(friction: float) -> None:
+    scene = cap_scene(100.0, 0.3, 4, friction=friction)
+    single = cap_press(scene)[1]
+    with float64_factors():
+        double = solved(problem_of(scene, flat_gel(0.7, 2.1), soft_cap()))[1]
+    assert "float32" in str(single.info["linear_solver"]) and "float32" not in str(double.info["linear_solver"])
+    # A step is off by under 1e-4 of itself, and the last one begins at a residual of 0.05 or less (CHORD_BELOW): the same path.
+    assert 0 < np.abs(single.force - double.force).max() <= 1e-4 * 0.05 * np.abs(double.force).max()
+    assert (single.newton_iterations == double.newton_iterations).all()
