@@ -66,10 +66,15 @@ class TetMesh:
     groups: dict[str, NDArray[np.int32]] = field(default_factory=dict)
     """Named sets of boundary faces, each (F, 6). Gel: "bonded", "coated", "side". Object: "base", "contact"."""
     symmetry: frozenset[str] = frozenset()
+    regions: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    """Which material each tet is of, shape (T,): an index into the object's parts (`materials.parts`). Left out: all of the first."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rest_positions", np.ascontiguousarray(self.rest_positions, np.float64))
         object.__setattr__(self, "tets", np.ascontiguousarray(self.tets, np.int32))
+        regions = self.regions if len(self.regions) else np.zeros(len(self.tets))
+        object.__setattr__(self, "regions", np.ascontiguousarray(regions, np.int32))
+        assert self.regions.shape == (len(self.tets),)
         assert self.rest_positions.ndim == 2 and self.rest_positions.shape[1] == 3
         assert self.tets.ndim == 2 and self.tets.shape[1] == 10
 
@@ -171,7 +176,7 @@ def mirror(mesh: TetMesh, axis: str) -> TetMesh:
     copy, image = _image(nodes, axis)
     both = {name: np.vstack([faces, image[faces][:, _FACE_FLIP]]).astype(np.int32) for name, faces in groups.items()}
     tets = np.vstack([tets, image[tets][:, _TET_FLIP]]).astype(np.int32)
-    return TetMesh(np.vstack([nodes, copy]), tets, both, mesh.symmetry - {axis})
+    return TetMesh(np.vstack([nodes, copy]), tets, both, mesh.symmetry - {axis}, np.tile(mesh.regions, 2))
 
 
 def mirror_surface(surface: QuadraticSurface, axis: str) -> QuadraticSurface:

@@ -64,10 +64,17 @@ class ElasticMaterial:
     """The isochoric part, one of LAWS."""
     constants: tuple[float, ...] = ()
     """The shape of its curve, all ratios: c2/c1, c3/c1 of yeoh; alpha_1, weight_1, alpha_2, weight_2 ... of ogden, weights of sum 1."""
+    prony: tuple[tuple[float, float], ...] = ()
+    """(share g, time tau [s]) of what relaxes: mu(t) = mu (1 - sum g (1 - exp(-t/tau))); none = elastic."""
 
     @classmethod
     def from_modulus(
-        cls, youngs_modulus: float, poissons_ratio: float, law: str = "neo-hookean", constants: tuple[float, ...] = ()
+        cls,
+        youngs_modulus: float,
+        poissons_ratio: float,
+        law: str = "neo-hookean",
+        constants: tuple[float, ...] = (),
+        prony: tuple[tuple[float, float], ...] = (),
     ) -> ElasticMaterial:
         """From Young's modulus [Pa] and Poisson's ratio in [0, 0.5): mu = E/(2(1+v)), kappa = E/(3(1-2v)), whatever the law.
 
@@ -79,7 +86,7 @@ class ElasticMaterial:
         if not 0.0 <= poissons_ratio < 0.5:
             raise MaterialError(f"Poisson's ratio = {poissons_ratio:g}: allowed is 0 ≤ v < 0.5")
         mu, kappa = youngs_modulus / (2.0 * (1.0 + poissons_ratio)), youngs_modulus / (3.0 * (1.0 - 2.0 * poissons_ratio))
-        return cls(mu, kappa, law, constants)
+        return cls(mu, kappa, law, constants, prony)
 
     @property
     def youngs_modulus(self) -> float:
@@ -147,8 +154,8 @@ def shore_a_from_modulus(youngs_modulus: float) -> float:
     return (math.log10(youngs_modulus / 1e6) - _QI_OFFSET) / _QI_SLOPE
 
 
-class Elastic(Protocol):
-    """What [gel] and [object] have in common."""
+class Hard(Protocol):
+    """What has a hardness: [gel], [object], [object.skin], [object.grains]."""
 
     @property
     def shore_00(self) -> float | None: ...
@@ -158,8 +165,27 @@ class Elastic(Protocol):
     def youngs_modulus_kpa(self) -> float | None: ...
     @property
     def modulus_scale(self) -> float: ...
+
+
+class Elastic(Hard, Protocol):
+    """What [gel] and [object] have in common."""
+
     @property
     def poissons_ratio(self) -> float: ...
+    @property
+    def prony_g(self) -> tuple[float, ...]: ...
+    @property
+    def prony_tau_s(self) -> tuple[float, ...]: ...
+
+
+class _Skin(Hard, Protocol):
+    @property
+    def thickness_mm(self) -> float: ...
+
+
+class _Grains(Hard, Protocol):
+    @property
+    def count(self) -> int: ...
 
 
 class LawConstants(Protocol):
@@ -182,6 +208,10 @@ class _ElasticBody(Elastic, Protocol):
     def law(self) -> str: ...
     @property
     def law_constants(self) -> LawConstants: ...
+    @property
+    def skin(self) -> _Skin: ...
+    @property
+    def grains(self) -> _Grains: ...
 
 
 class _Pressed(Protocol):
@@ -191,8 +221,8 @@ class _Pressed(Protocol):
     def object(self) -> _ElasticBody: ...
 
 
-def youngs_modulus(section: Elastic) -> float:
-    """Young's modulus [Pa] of a gel or an object, from whichever of shore_00, shore_a and youngs_modulus_kpa it gives.
+def youngs_modulus(section: Hard) -> float:
+    """Young's modulus [Pa] of a gel, an object or a part of it, from whichever of shore_00, shore_a and youngs_modulus_kpa it gives.
 
     `modulus_scale` multiplies what a reading gives, not a modulus that was given as such.
 
@@ -208,17 +238,49 @@ def youngs_modulus(section: Elastic) -> float:
     raise MaterialError("no hardness given: one of shore_00, shore_a and youngs_modulus_kpa is needed")
 
 
+def prony_series(section: Elastic) -> tuple[tuple[float, float], ...]:
+    """(share, time [s]) of what relaxes.
+
+    Raises:
+        MaterialError: As many shares as times, each positive, the shares of sum below 1; the message begins with the field's name.
+    """
+    if len(section.prony_g) != len(section.prony_tau_s):
+        raise MaterialError(f"prony_g has {len(section.prony_g)} values, prony_tau_s {len(section.prony_tau_s)}: give one for each")
+    for share in section.prony_g:
+        if share <= 0.0:
+            raise MaterialError(f"prony_g = {share:g}: a share must be positive")
+    if math.fsum(section.prony_g) >= 1.0:
+        raise MaterialError(f"prony_g sums to {math.fsum(section.prony_g):g}: it must stay below 1, or nothing carries a load that lasts")
+    return tuple(zip(section.prony_g, section.prony_tau_s, strict=True))
+
+
 def gel_material(scene: _Pressed) -> ElasticMaterial:
     """The gel's constants."""
-    return ElasticMaterial.from_modulus(youngs_modulus(scene.gel), scene.gel.poissons_ratio)
+    return ElasticMaterial.from_modulus(youngs_modulus(scene.gel), scene.gel.poissons_ratio, prony=prony_series(scene.gel))
+
+
+def parts(body: _ElasticBody) -> tuple[str, ...]:
+    """What an object is made of, in the order in which its mesh numbers them (`TetMesh.regions`): "body", "skin", "grains"."""
+    skin, grains = body.skin.thickness_mm > 0.0, body.grains.count > 0
+    return ("body", *(("skin",) if skin else ()), *(("grains",) if grains else ()))
+
+
+def object_materials(scene: _Pressed) -> dict[str, ElasticMaterial]:
+    """The constants of each of an object's `parts`, which differ in their modulus alone; empty when it is rigid."""
+    body = scene.object
+    if body.rigid:
+        return {}
+    sections: dict[str, Hard] = {"body": body, "skin": body.skin, "grains": body.grains}
+    constants, prony = law_shape(body.law, body.law_constants), prony_series(body)
+    return {
+        name: ElasticMaterial.from_modulus(youngs_modulus(sections[name]), body.poissons_ratio, body.law, constants, prony)
+        for name in parts(body)
+    }
 
 
 def object_material(scene: _Pressed) -> ElasticMaterial | None:
-    """The object's constants; None when it is rigid."""
-    if scene.object.rigid:
-        return None
-    constants = law_shape(scene.object.law, scene.object.law_constants)
-    return ElasticMaterial.from_modulus(youngs_modulus(scene.object), scene.object.poissons_ratio, scene.object.law, constants)
+    """The constants of an object's body; None when it is rigid."""
+    return object_materials(scene).get("body")
 
 
 def law_shape(law: str, given: LawConstants) -> tuple[float, ...]:
@@ -270,7 +332,7 @@ def _check_ogden(alpha: tuple[float, ...], weight: tuple[float, ...]) -> None:
         raise MaterialError(f"weight sums to {math.fsum(weight):g}: weights are shares of the shear modulus, of sum 1")
 
 
-def hardness_label(section: Elastic) -> str:
+def hardness_label(section: Hard) -> str:
     """The hardness in words: "Shore 00-30", "Shore A 45", "E = 100 kPa"."""
     if section.youngs_modulus_kpa is not None:
         return f"E = {section.youngs_modulus_kpa:g} {unit_of('youngs_modulus_kpa')}"

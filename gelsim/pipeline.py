@@ -79,9 +79,12 @@ def press(
         from gelsim.fem import solve_press
     symmetry = shapes.press_symmetry(scene)
     record.choices["symmetry"] = sorted(symmetry)
-    gel_material, object_material = materials.gel_material(scene), materials.object_material(scene)
+    gel_material, object_materials = materials.gel_material(scene), materials.object_materials(scene)
+    object_material, part_materials = object_materials.get("body"), list(object_materials.values())[1:]
     record.choices["gel_modulus_kpa"] = gel_material.youngs_modulus / 1e3
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
+    for name, material in list(object_materials.items())[1:]:
+        record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
     with record.stage("mesh"):
         if scene.object.mesh:
             _check_depth(scene, scene.object.mesh)
@@ -104,6 +107,7 @@ def press(
             placement,
             gel_material=gel_material,
             object_material=object_material,
+            part_materials=part_materials,
             device=device,
             progress=(lambda done, total: progress("press", done, total)) if progress else None,
             throw=throw,

@@ -49,6 +49,10 @@ class Gel:
     """Multiplies the modulus that a Shore value gives: the literature disagrees by 2 (docs/physics.md)."""
     poissons_ratio: float = 0.499
     """0 to 0.49999; silicone is 0.499 to 0.4999."""
+    prony_g: tuple[float, ...] = ()
+    """Shares of the shear modulus that relax, one for each prony_tau_s, of sum below 1; the hardness is then that of a fast press."""
+    prony_tau_s: tuple[float, ...] = ()
+    """Times in which they relax; none = no viscosity."""
 
     def __post_init__(self) -> None:
         _default_hardness(self, 17.0)
@@ -66,6 +70,42 @@ class LawConstants:
     """Exponents of an Ogden law, one to three, of W = sum 2 mu/alpha^2 (l1^alpha + l2^alpha + l3^alpha - 3); 2 is neo-Hookean."""
     weight: tuple[float, ...] = ()
     """Share of the shear modulus of each alpha, of sum 1; left out for a single alpha."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """An outer layer of the object, of a hardness of its own; law, Poisson's ratio and viscosity are the object's."""
+
+    thickness_mm: float = 0.0
+    """Measured inward from the surface, but for the base; 0 = no skin."""
+    shore_00: float | None = None
+    """Hardness, 1 to 99. A skin gives exactly one of shore_00, shore_a, youngs_modulus_kpa."""
+    shore_a: float | None = None
+    """Hardness on the A scale, 20 to 80."""
+    youngs_modulus_kpa: float | None = None
+    """Small-strain Young's modulus, given instead of a hardness."""
+    modulus_scale: float = 1.0
+    """Multiplies the modulus that a Shore value gives."""
+
+
+@dataclass(frozen=True)
+class Grains:
+    """Balls of a hardness of their own inside the object, at random places that neither touch each other nor the surface."""
+
+    count: int = 0
+    """How many; 0 = none."""
+    radius_mm: float = 1.0
+    """Of each."""
+    seed: int = 0
+    """Of their places."""
+    shore_00: float | None = None
+    """Hardness, 1 to 99. Grains give exactly one of shore_00, shore_a, youngs_modulus_kpa."""
+    shore_a: float | None = None
+    """Hardness on the A scale, 20 to 80."""
+    youngs_modulus_kpa: float | None = None
+    """Small-strain Young's modulus, given instead of a hardness."""
+    modulus_scale: float = 1.0
+    """Multiplies the modulus that a Shore value gives."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +146,12 @@ class Body:
     law: str = "neo-hookean"
     """Elastic law (its isochoric part); yeoh and ogden need their constants in law_constants."""
     law_constants: LawConstants = field(default_factory=LawConstants)
+    prony_g: tuple[float, ...] = ()
+    """Shares of the shear modulus that relax, one for each prony_tau_s, of sum below 1; the hardness is then that of a fast press."""
+    prony_tau_s: tuple[float, ...] = ()
+    """Times in which they relax; none = no viscosity."""
+    skin: Skin = field(default_factory=Skin)
+    grains: Grains = field(default_factory=Grains)
 
     def __post_init__(self) -> None:
         if not self.rigid:
@@ -135,7 +181,9 @@ class Press:
     twist_deg: float = 0.0
     """Turn about z, applied in proportion to the approach."""
     speed_mm_s: float = 6.0
-    """Approach speed; sets the time stamps only, the solution is quasi-static."""
+    """Approach speed: sets the time stamps, and how far a material with prony_g relaxes meanwhile; there is no inertia."""
+    hold_s: float = 0.0
+    """How long the object then stays where it is, while gel and object relax: one more recorded state."""
     symmetry: str = "auto"
     """"auto": solve half or a quarter where object, gel and motion share mirror planes; "none": always the whole."""
 
@@ -283,6 +331,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "gel.youngs_modulus_kpa": (1, 1e7),
     "gel.modulus_scale": (0.05, 20),
     "gel.poissons_ratio": (0, 0.49999),
+    "gel.prony_g": (0, 1),
+    "gel.prony_tau_s": (1e-6, 1e6),
     "object.radius_mm": (0.5, 50),
     "object.height_mm": (1, 100),
     "object.width_mm": (0.5, 100),
@@ -291,6 +341,16 @@ LIMITS: dict[str, tuple[float, float]] = {
     "object.youngs_modulus_kpa": (1, 1e7),
     "object.modulus_scale": (0.05, 20),
     "object.poissons_ratio": (0, 0.49999),
+    "object.prony_g": (0, 1),
+    "object.prony_tau_s": (1e-6, 1e6),
+    "object.skin.thickness_mm": (0, 20),
+    "object.skin.youngs_modulus_kpa": (1, 1e7),
+    "object.skin.modulus_scale": (0.05, 20),
+    "object.grains.count": (0, 500),
+    "object.grains.radius_mm": (0.1, 20),
+    "object.grains.seed": (0, 2**32 - 1),
+    "object.grains.youngs_modulus_kpa": (1, 1e7),
+    "object.grains.modulus_scale": (0.05, 20),
     "object.law_constants.c2_over_c1": (-1, 10),
     "object.law_constants.c3_over_c1": (-1, 10),
     "object.law_constants.alpha": (-25, 25),
@@ -304,6 +364,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "press.shear_mm": (-10, 10),
     "press.twist_deg": (-90, 90),
     "press.speed_mm_s": (1e-3, 1000),
+    "press.hold_s": (0, 1e5),
     "camera.resolution": (16, 4096),
     "camera.field_mm": (1, 100),
     "camera.distance_mm": (1, 1000),
@@ -441,16 +502,14 @@ def _spaced(unit: str) -> str:
 def _check(scene: Scene) -> None:
     _check_fields(scene, "")
     gel, body, press = scene.gel, scene.object, scene.press
+    _check_hardness("gel", gel)
+    _check_hardness("object", body)
+    _check_parts(body)
     for name, section in (("gel", gel), ("object", body)):
-        given = [key for key in STIFFNESS if getattr(section, key) is not None]
-        if len(given) > 1:
-            values = " and ".join(f"{name}.{key} = {getattr(section, key):g}" for key in given)
-            raise SceneError(f"{values}: give exactly one of {', '.join(STIFFNESS)}")
-        if given:
-            try:
-                materials.youngs_modulus(section)
-            except MaterialError as error:
-                raise MaterialError(f"{name}.{given[0]}: {error}") from None
+        try:
+            materials.prony_series(section)
+        except MaterialError as error:
+            raise MaterialError(f"{name}.{error}") from None
     if gel.profile == "dome" and gel.edge_thickness_mm > gel.thickness_mm:
         raise SceneError(
             f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is no thicker there than "
@@ -466,6 +525,8 @@ def _check(scene: Scene) -> None:
         raise SceneError(f'contact.friction_coefficient = {friction!r}: allowed is a number of 0 or more, or "stick"')
     if press.depth_mm is None and press.force_n is None:
         raise SceneError("press.depth_mm and press.force_n are both none: give one, or both to stop at what comes first")
+    if press.hold_s and not (gel.prony_g or (body.prony_g and not body.rigid)):
+        raise SceneError(f"press.hold_s = {press.hold_s:g} s: nothing relaxes meanwhile; give gel.prony_g or object.prony_g, or no hold_s")
     if press.depth_mm is not None:
         if press.depth_mm >= body.height_mm and body.shape != "mesh":
             raise SceneError(f"press.depth_mm = {press.depth_mm:g} mm: it must be less than object.height_mm = {body.height_mm:g} mm")
@@ -483,6 +544,30 @@ def _check(scene: Scene) -> None:
             f"markers.radius_mm = {scene.markers.radius_mm:g} mm: markers overlap unless it is less than half of "
             f"markers.pitch_mm = {scene.markers.pitch_mm:g} mm"
         )
+
+
+def _check_hardness(name: str, section: Gel | Body | Skin | Grains) -> None:
+    given = [key for key in STIFFNESS if getattr(section, key) is not None]
+    if len(given) > 1:
+        values = " and ".join(f"{name}.{key} = {getattr(section, key):g}" for key in given)
+        raise SceneError(f"{values}: give exactly one of {', '.join(STIFFNESS)}")
+    if given:
+        try:
+            materials.youngs_modulus(section)
+        except MaterialError as error:
+            raise MaterialError(f"{name}.{given[0]}: {error}") from None
+
+
+def _check_parts(body: Body) -> None:
+    """Skin and grains: there with a hardness, or not there at all."""
+    for name, part, key in (("object.skin", body.skin, "thickness_mm"), ("object.grains", body.grains, "count")):
+        _check_hardness(name, part)
+        given = [f"{name}.{item} = {getattr(part, item):g}" for item in STIFFNESS if getattr(part, item) is not None]
+        present = name.split(".")[1] in materials.parts(body)
+        if present and not given:
+            raise SceneError(f"{name} has no hardness: give exactly one of {', '.join(STIFFNESS)}")
+        if given and not present:
+            raise SceneError(f"{given[0]}, but {name}.{key} = 0: give {key} too, or neither")
 
 
 def _check_optics(scene: Scene) -> None:

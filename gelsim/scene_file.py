@@ -1,8 +1,8 @@
 """Scenes as TOML files, and how the layers of a scene lie on each other: defaults < sensor preset < file < flags.
 
 A layer is a nested dictionary with the keys of the dataclasses in `gelsim.scene`. A later layer beats an earlier one field by field, with
-two exceptions: of shore_00, shore_a and youngs_modulus_kpa the one given last displaces whichever came before, and another law displaces
-the constants of the one before. TOML has no null; the text "none" stands for it (`depth_mm = "none"`).
+two exceptions: of shore_00, shore_a and youngs_modulus_kpa in a table the one given last displaces whichever came before, and another law
+displaces the constants of the one before. TOML has no null; the text "none" stands for it (`depth_mm = "none"`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.errors import SceneError
-from gelsim.scene import STIFFNESS, LawConstants, Scene, Sensor, field_types, known_key, nearest
+from gelsim.scene import STIFFNESS, Grains, LawConstants, Scene, Sensor, Skin, field_types, known_key, nearest
 
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
 """What a sensor preset may fill."""
@@ -59,18 +59,24 @@ def build_scene(*layers: Layer) -> Scene:
     for layer in (_preset_layer(preset), *layers):
         for key, value in layer.items():
             if isinstance(value, dict):
-                section = merged.setdefault(key, {})
-                if any(name in value for name in STIFFNESS):
-                    for name in STIFFNESS:
-                        section.pop(name, None)
-                if "law" in section and value.get("law", section["law"]) != section["law"]:
-                    section.pop("law_constants", None)
-                for name, inner in value.items():
-                    below = section.get(name)
-                    section[name] = {**below, **inner} if isinstance(inner, dict) and isinstance(below, dict) else inner
+                merged[key] = _overlaid(merged.get(key, {}), value)
             else:
                 merged[key] = value
     return Scene(**merged)
+
+
+def _overlaid(below: Layer, above: Layer) -> Layer:
+    """One table on another."""
+    table = dict(below)
+    if any(name in above for name in STIFFNESS):
+        for name in STIFFNESS:
+            table.pop(name, None)
+    if "law" in table and above.get("law", table["law"]) != table["law"]:
+        table.pop("law_constants", None)
+    for name, value in above.items():
+        inner = table.get(name)
+        table[name] = _overlaid(inner, value) if isinstance(value, dict) and isinstance(inner, dict) else value
+    return table
 
 
 def read_layer(path: str | Path) -> Layer:
@@ -93,7 +99,8 @@ def scene_table(scene: Scene) -> Layer:
             # A hardness that is not given is left out: two of the three keys in one layer would be an error. So are constants of a law.
             unset = STIFFNESS if not isinstance(value, LawConstants) else tuple(field_types(LawConstants))
             pairs = ((item.name, getattr(value, item.name)) for item in dataclasses.fields(value))
-            kept = {name: inner for name, inner in pairs if not (name in unset and inner in (None, ())) and inner != LawConstants()}
+            absent = (LawConstants(), Skin(), Grains())
+            kept = {name: inner for name, inner in pairs if not (name in unset and inner in (None, ())) and inner not in absent}
             return {name: plain(inner) for name, inner in kept.items()}
         if isinstance(value, tuple):
             return [plain(item) for item in value]

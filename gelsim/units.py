@@ -18,7 +18,17 @@ MESH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """Metres in the unit that a mesh file is said to be in."""
 
 # Longest suffix first: speed_mm_s is not in seconds.
-_SUFFIXES = {"_mm_s": "mm/s", "_mm": "mm", "_deg": "°", "_kpa": "kPa", "_n": "N", "_00": "Shore 00", "_a": "Shore A", "_nm": "nm"}
+_SUFFIXES = {
+    "_mm_s": "mm/s",
+    "_mm": "mm",
+    "_deg": "°",
+    "_kpa": "kPa",
+    "_n": "N",
+    "_00": "Shore 00",
+    "_a": "Shore A",
+    "_nm": "nm",
+    "_s": "s",
+}
 
 
 def unit_of(field: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.materials import ElasticMaterial
@@ -18,6 +18,7 @@ def solve_press(
     *,
     gel_material: ElasticMaterial,
     object_material: ElasticMaterial | None,
+    part_materials: Sequence[ElasticMaterial] = (),
     device: str = "auto",
     progress: Callable[[int, int], None] | None = None,
     throw: bool = True,
@@ -29,6 +30,7 @@ def solve_press(
         body: The object's mesh, or only its surface where it is rigid; in the object's frame.
         placement: Rotation (3, 3) and translation (3,) [m] that bring it to first touch.
         object_material: None for a rigid object.
+        part_materials: Of the object's regions 1, 2, … (skin, grains).
         device: "auto" and "cpu" run here; "cuda" assembles on the GPU.
         progress: Called with (states recorded, states wanted).
     Raises:
@@ -41,5 +43,5 @@ def solve_press(
     from gelsim.fem.quasistatic import run_press
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    problem = PressProblem(scene, gel, body, placement, gel_material, object_material, name)
+    problem = PressProblem(scene, gel, body, placement, gel_material, object_material, name, part_materials=part_materials)
     return run_press(problem, progress=progress, throw=throw)

@@ -9,14 +9,12 @@ contact (contact.py) is the only coupling between them.
 
 Solver units are mm, kPa and mN (as kPa·mm²): they keep the two kinds of unknowns within a few orders of magnitude of each other.
 
-Layout: node i owns up to four unknowns (u_x, u_y, u_z, and p at vertices), numbered in a row; `local[i, c]` is the place of component c
-among them or -1 where it is prescribed. The upper triangle is stored by node pairs, so a kernel finds a value's slot with one short
-binary search.
+The pressure is continuous within a material and jumps between two (`split_pressures`): a tet's row of nodes is its ten, then the four
+that carry its pressure, which are its vertices but where another material holds them. The matrix is stored as pattern.py says.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -40,6 +38,8 @@ from gelsim.fem.hyperelastic import (
     principal_axes,
     volume_change,
 )
+from gelsim.fem.pattern import PairPattern, add_entry, element_pairs, pair_offset
+from gelsim.fem.viscoelastic import Memory
 from gelsim.materials import OGDEN_TERMS
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
@@ -47,91 +47,32 @@ wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 Array = NDArray[np.float64]
 
 
-@wp.struct
-class PairPattern:
-    """The upper triangle by node pairs (see `SymmetricPattern`)."""
-
-    local: wp.array2d(dtype=wp.int32)
-    count: wp.array(dtype=wp.int32)
-    base: wp.array(dtype=wp.int32)
-    width: wp.array(dtype=wp.int32)
-    row: wp.array(dtype=wp.int32)
-    column: wp.array(dtype=wp.int32)
-    offset: wp.array(dtype=wp.int32)
-
-
 @wp.func
-def find_pair(pattern: PairPattern, i: wp.int32, j: wp.int32) -> wp.int32:
-    """Where the columns of node j begin within the rows of node i, i < j; -1 where the pair is not in the pattern."""
-    low = pattern.row[i]
-    high = pattern.row[i + 1]
-    while low < high:
-        middle = (low + high) // 2
-        if pattern.column[middle] < j:
-            low = middle + 1
-        else:
-            high = middle
-    if low < pattern.row[i + 1]:
-        if pattern.column[low] == j:
-            return pattern.offset[low]
-    return -1
-
-
-@wp.func
-def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, ca: wp.int32, b: wp.int32, cb: wp.int32,
-              offset: wp.int32, value: wp.float64):  # fmt: skip
-    """Adds to the entry (node a component ca, node b component cb) and so to its mirror; for a = b only the upper half is kept.
-
-    `offset` is `find_pair` of the two nodes, unused for a = b.
-    """
-    i = a
-    j = b
-    li = pattern.local[a, ca]
-    lj = pattern.local[b, cb]
-    if b < a:
-        i = b
-        j = a
-        swap = li
-        li = lj
-        lj = swap
-    if li < 0 or lj < 0:
-        return
-    k = pattern.count[i]
-    start = pattern.base[i] + li * (k + pattern.width[i]) - li * (li - 1) // 2
-    if i == j:
-        if lj >= li:
-            wp.atomic_add(values, start + lj - li, value)
-    else:
-        wp.atomic_add(values, start + k - li + offset + lj, value)
-
-
-@wp.func
-def add_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, block: wp.mat33d):
-    """Adds the displacement block of nodes (a, b), in either order."""
-    offset = int(0)
-    if a != b:
-        offset = find_pair(pattern, wp.min(a, b), wp.max(a, b))
-    for c in range(3):
-        for d in range(3):
-            add_entry(pattern, values, a, c, b, d, offset, block[c, d])
-
-
-@wp.func
-def scatter_pair(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, na: wp.int32, b: wp.int32, nb: wp.int32,
-                 block: wp.mat33d, coupling_ab: wp.vec3d, coupling_ba: wp.vec3d, pp: wp.float64):  # fmt: skip
+def scatter_pair(pattern: PairPattern, values: wp.array(dtype=wp.float64), tets: wp.array2d(dtype=wp.int32), t: wp.int32, a: wp.int32,
+                 b: wp.int32, block: wp.mat33d, coupling_ab: wp.vec3d, coupling_ba: wp.vec3d, pp: wp.float64):  # fmt: skip
     """Adds what local nodes a ≤ b of a tet share: u_a with u_b, u_a with p_b, p_a with u_b, p_a with p_b; pressures are of nodes 0 … 3."""
-    offset = int(0)
-    if na != nb:
-        offset = find_pair(pattern, wp.min(na, nb), wp.max(na, nb))
+    na = tets[t, a]
+    nb = tets[t, b]
+    offset = pair_offset(pattern, na, nb)
     for i in range(3):
         for k in range(3):
             add_entry(pattern, values, na, i, nb, k, offset, block[i, k])
-        if b < 4:
-            add_entry(pattern, values, na, i, nb, 3, offset, coupling_ab[i])
-        if a < 4 and a != b:
-            add_entry(pattern, values, na, 3, nb, i, offset, coupling_ba[i])
     if b < 4:
-        add_entry(pattern, values, na, 3, nb, 3, offset, pp)
+        pb = tets[t, 10 + b]
+        other = offset
+        if pb != nb:
+            other = pair_offset(pattern, na, pb)
+        for i in range(3):
+            add_entry(pattern, values, na, i, pb, 3, other, coupling_ab[i])
+        # a ≤ b: both carry pressures
+        add_entry(pattern, values, tets[t, 10 + a], 3, pb, 3, pair_offset(pattern, tets[t, 10 + a], pb), pp)
+    if a < 4 and a != b:
+        pa = tets[t, 10 + a]
+        other = offset
+        if pa != na:
+            other = pair_offset(pattern, pa, nb)
+        for i in range(3):
+            add_entry(pattern, values, pa, 3, nb, i, other, coupling_ba[i])
 
 
 def element_kernels(points: int, family: str):
@@ -167,7 +108,7 @@ def _cubic_kernels(points: int):
             w = weights[t, q]
             p = wp.float64(0.0)
             for b in range(4):
-                p += shape[q, b] * pressure[tets[t, b]]
+                p += shape[q, b] * pressure[tets[t, 10 + b]]
             if j > wp.float64(0.0):
                 cof = cofactor(f)
                 scale = wp.pow(j, wp.float64(-2.0) / wp.float64(3.0))
@@ -178,7 +119,7 @@ def _cubic_kernels(points: int):
                 for a in range(10):
                     wp.atomic_add(force, tets[t, a], w * (stress * gradients[t, q, a]))
                 for b in range(4):
-                    wp.atomic_add(volume, tets[t, b], w * shape[q, b] * (dv - p / kappa[t]))
+                    wp.atomic_add(volume, tets[t, 10 + b], w * shape[q, b] * (dv - p / kappa[t]))
         energy[t] = stored
         min_jacobian[t] = smallest
 
@@ -205,7 +146,7 @@ def _cubic_kernels(points: int):
             excess = isochoric_excess(h, j)
             p = wp.float64(0.0)
             for b in range(4):
-                p += shape[q, b] * pressure[tets[t, b]]
+                p += shape[q, b] * pressure[tets[t, 10 + b]]
             w = weights[t, q]
             scalars[q, 0] = w * wp.float64(2.0) * law_slope(law[t], excess) * scale  # c
             scalars[q, 1] = w * wp.float64(4.0) * law_curvature(law[t], excess) * scale * scale  # weight of P̂ ⊗ P̂
@@ -220,9 +161,7 @@ def _cubic_kernels(points: int):
                     fg[q * 10 + a, c] = fa[c]
                     ag[q * 10 + a, c] = aa[c]
         for a in range(10):
-            na = tets[t, a]
             for b in range(a, 10):
-                nb = tets[t, b]
                 block = wp.mat33d()
                 coupling_ab = wp.vec3d()  # u_a with p_b
                 coupling_ba = wp.vec3d()  # u_b with p_a
@@ -249,7 +188,7 @@ def _cubic_kernels(points: int):
                         pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
                     if a < 4:
                         coupling_ba += (wj * shape[q, a]) * ab
-                scatter_pair(pattern, values, a, na, b, nb, block, coupling_ab, coupling_ba, pp)
+                scatter_pair(pattern, values, tets, t, a, b, block, coupling_ab, coupling_ba, pp)
 
     return residual, tangent
 
@@ -284,7 +223,7 @@ def _ogden_kernels(points: int):
             w = weights[t, q]
             p = wp.float64(0.0)
             for b in range(4):
-                p += shape[q, b] * pressure[tets[t, b]]
+                p += shape[q, b] * pressure[tets[t, 10 + b]]
             if j > wp.float64(0.0):
                 excess, v = principal_axes(h + wp.transpose(h) + wp.transpose(h) * h)
                 iso = isochoric_part(log_stretches(excess))
@@ -297,7 +236,7 @@ def _ogden_kernels(points: int):
                 for a in range(10):
                     wp.atomic_add(force, tets[t, a], w * (stress * gradients[t, q, a]))
                 for b in range(4):
-                    wp.atomic_add(volume, tets[t, b], w * shape[q, b] * (dv - p / kappa[t]))
+                    wp.atomic_add(volume, tets[t, 10 + b], w * shape[q, b] * (dv - p / kappa[t]))
         energy[t] = stored
         min_jacobian[t] = smallest
 
@@ -330,7 +269,7 @@ def _ogden_kernels(points: int):
             slope = ogden_stretch_tangent(law[t], iso)
             p = wp.float64(0.0)
             for b in range(4):
-                p += shape[q, b] * pressure[tets[t, b]]
+                p += shape[q, b] * pressure[tets[t, 10 + b]]
             w = weights[t, q]
             for k in range(3):
                 stretches[q, k] = stretch[k]
@@ -354,9 +293,7 @@ def _ogden_kernels(points: int):
                 for c in range(3):
                     gn[q * 10 + a, c] = g[c]
         for a in range(10):
-            na = tets[t, a]
             for b in range(a, 10):
-                nb = tets[t, b]
                 block = wp.mat33d()
                 coupling_ab = wp.vec3d()  # u_a with p_b
                 coupling_ba = wp.vec3d()  # u_b with p_a
@@ -391,83 +328,9 @@ def _ogden_kernels(points: int):
                         if b < 4:
                             coupling_ab += (scalars[q, 12] * shape[q, b]) * (turn * wp.cw_div(ga, stretch))
                             pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
-                scatter_pair(pattern, values, a, na, b, nb, block, coupling_ab, coupling_ba, pp)
+                scatter_pair(pattern, values, tets, t, a, b, block, coupling_ab, coupling_ba, pp)
 
     return ogden_residual, ogden_tangent
-
-
-@dataclass(frozen=True, eq=False)
-class SymmetricPattern:
-    """The upper triangle of the matrix: CSR arrays for the solver, node-pair arrays for the kernels."""
-
-    indptr: NDArray[np.int32]
-    indices: NDArray[np.int32]
-    pairs: PairPattern
-    equation: NDArray[np.int32]
-    """Unknown of (node, component), or -1: shape (N, 4)."""
-
-    @property
-    def size(self) -> int:
-        return len(self.indptr) - 1
-
-
-def element_pairs(tets: NDArray[np.int32], node_count: int) -> NDArray[np.int64]:
-    """Sorted keys lower·N + higher of all node pairs that share a tet, without the diagonal."""
-    a, b = np.triu_indices(tets.shape[1], 1)
-    return np.unique(pair_keys(tets[:, a].ravel(), tets[:, b].ravel(), node_count))
-
-
-def pair_keys(a: NDArray[np.int32], b: NDArray[np.int32], node_count: int) -> NDArray[np.int64]:
-    return np.minimum(a, b).astype(np.int64) * node_count + np.maximum(a, b)
-
-
-def build_pattern(free: NDArray[np.bool_], keys: NDArray[np.int64], device: str) -> SymmetricPattern:
-    """The pattern of a set of node pairs.
-
-    Args:
-        free: Which of (u_x, u_y, u_z, p) of each node are unknowns, shape (N, 4).
-        keys: Sorted, unique pair keys (see `element_pairs`).
-    """
-    n = len(free)
-    count = free.sum(1).astype(np.int64)
-    local = np.where(free, np.cumsum(free, axis=1) - 1, -1).astype(np.int32)
-    first = np.concatenate([[0], np.cumsum(count)])
-    equation = np.where(free, first[:-1, None] + local, -1).astype(np.int32)
-
-    lower, higher = keys // n, keys % n
-    keep = (count[lower] > 0) & (count[higher] > 0)
-    lower, higher = lower[keep], higher[keep]
-    row = np.concatenate([[0], np.cumsum(np.bincount(lower, minlength=n))])
-    running = np.concatenate([[0], np.cumsum(count[higher])])
-    offset = running[:-1] - running[row[lower]]
-    width = running[row[1:]] - running[row[:-1]]
-
-    # CSR rows: node i's unknown number l holds its own later unknowns, then all of every neighbour's
-    node_of = np.repeat(np.arange(n), count)
-    place = np.arange(first[-1]) - first[node_of]
-    length = count[node_of] - place + width[node_of]
-    indptr = np.concatenate([[0], np.cumsum(length)])
-    base = np.zeros(n, np.int64)
-    has = count > 0
-    base[has] = indptr[first[:-1][has]]
-    neighbour = np.repeat(higher, count[higher])
-    within = np.arange(running[-1]) - np.repeat(running[:-1], count[higher])
-    tail = first[neighbour] + within  # the unknowns of all neighbours, row of nodes by row of nodes
-    indices = np.empty(indptr[-1], np.int32)
-    own_length = count[node_of] - place
-    own = np.repeat(np.arange(first[-1]) - np.concatenate([[0], np.cumsum(own_length)[:-1]]), own_length) + np.arange(own_length.sum())
-    slot_own = np.repeat(indptr[:-1] - np.concatenate([[0], np.cumsum(own_length)[:-1]]), own_length) + np.arange(own_length.sum())
-    indices[slot_own] = own
-    tail_length = width[node_of]
-    shift = np.concatenate([[0], np.cumsum(tail_length)[:-1]])
-    source = np.repeat(running[row[node_of]] - shift, tail_length) + np.arange(tail_length.sum())
-    slot_tail = np.repeat(indptr[:-1] + own_length - shift, tail_length) + np.arange(tail_length.sum())
-    indices[slot_tail] = tail[source]
-
-    pairs = PairPattern()
-    for name, array in dict(local=local, count=count, base=base, width=width, row=row, column=higher, offset=offset).items():
-        setattr(pairs, name, wp.array(np.ascontiguousarray(array, np.int32), dtype=wp.int32, device=device))
-    return SymmetricPattern(indptr.astype(np.int32), indices, pairs, equation)
 
 
 class Solids:
@@ -479,22 +342,27 @@ class Solids:
         law: (T, 3) constants c₁, c₂, c₃ [kPa] of the cubic law, or (T, 6) μ_k [kPa], α_k of Ogden's: one family for all tets, and
             α = 2 is neo-Hookean. kappa: (T,) bulk moduli [kPa].
         fixed: Which displacement components are prescribed, (N, 3).
+        pressures: The nodes that carry each tet's pressure, (T, 4); left out, its vertices. `split_pressures` makes others.
     """
 
     def __init__(self, rest: Array, tets: NDArray[np.int32], quadrature: TetQuadrature, law: Array, kappa: Array,
-                 fixed: NDArray[np.bool_], device: str) -> None:  # fmt: skip
+                 fixed: NDArray[np.bool_], device: str, pressures: NDArray[np.int32] | None = None) -> None:  # fmt: skip
         self.device, self.rest, self.tets = device, rest, tets
         self.node_count = len(rest)
         in_solid = np.zeros(self.node_count, bool)
         in_solid[tets] = True
         vertex = np.zeros(self.node_count, bool)
-        vertex[tets[:, :4]] = True
+        split = pressures is not None and not np.array_equal(pressures, tets[:, :4])
+        pressures = pressures if split else tets[:, :4]
+        vertex[pressures] = True
+        cells = np.hstack([tets, pressures])
         self.free = np.concatenate([~fixed & in_solid[:, None], vertex[:, None]], axis=1)
         self.unknowns = int(self.free.sum())
         self.equation = np.where(self.free, np.cumsum(self.free.ravel()).reshape(self.free.shape) - 1, -1)
+        self._cells = cells if split else tets
         self.vertex_volume = np.ones(self.node_count)
         share = np.einsum("tq,qb->tb", quadrature.weights, quadrature.pressure_shape)
-        summed = np.bincount(tets[:, :4].ravel(), share.ravel(), self.node_count)
+        summed = np.bincount(pressures.ravel(), share.ravel(), self.node_count)
         self.vertex_volume[vertex] = summed[vertex]
 
         def array(data: object, dtype: object) -> wp.array:
@@ -502,21 +370,23 @@ class Solids:
 
         ogden = law.shape[1] == 2 * OGDEN_TERMS
         self._residual, self._tangent = element_kernels(quadrature.weights.shape[1], "ogden" if ogden else "cubic")
+        self._quadrature = quadrature
         self._rest = array(rest, wp.vec3d)
         self.displacement = wp.zeros(self.node_count, dtype=wp.vec3d, device=device)
         self.pressure = wp.zeros(self.node_count, dtype=wp.float64, device=device)
         self._inputs = [
-            array(tets, wp.int32), self.displacement, self.pressure, array(quadrature.gradients, wp.vec3d),
+            array(cells, wp.int32), self.displacement, self.pressure, array(quadrature.gradients, wp.vec3d),
             array(quadrature.weights, wp.float64), array(quadrature.pressure_shape, wp.float64),
             array(law, OgdenConstants if ogden else wp.vec3d), array(kappa, wp.float64),
         ]  # fmt: skip
+        self._memory: Memory | None = None
         self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
         self.element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)
 
     @cached_property
     def keys(self) -> NDArray[np.int64]:
         """Node pairs that share a tet (`element_pairs`)."""
-        return element_pairs(self.tets, self.node_count)
+        return element_pairs(self._cells, self.node_count)
 
     def positions(self) -> wp.array:
         return self._rest + self.displacement
@@ -532,6 +402,8 @@ class Solids:
         """Adds ∂Π/∂u and ∂Π/∂p; each element's energy and smallest det F are kept."""
         outputs = [force, volume, self._element_energy, self.element_jacobian]
         wp.launch(self._residual, len(self.tets), [*self._inputs, *outputs], device=self.device)
+        if self._memory is not None:
+            self._memory.add_force(self.displacement, force)
 
     def energy(self) -> float:
         """Stored energy of the last `internal_force` [mN·mm = µJ]."""
@@ -539,6 +411,14 @@ class Solids:
 
     def add_tangent(self, pairs: PairPattern, values: wp.array) -> None:
         wp.launch(self._tangent, len(self.tets), [*self._inputs, pairs, values], device=self.device)
+        if self._memory is not None:
+            self._memory.add_tangent(pairs, values)
+
+    def remember(self, shares: Array, times: Array) -> Memory:
+        """Makes the solids viscoelastic, of Prony shares and times [s] (T, K); for what steps of time do then, see `Memory`."""
+        tets, law = self._inputs[0], self._inputs[6]
+        self._memory = Memory(tets, self._quadrature, law.numpy().copy(), law, shares, times)
+        return self._memory
 
     def state(self) -> tuple[Array, Array]:
         return self.displacement.numpy().copy(), self.pressure.numpy().copy()

@@ -35,7 +35,6 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from gelsim.fem.assembly import PairPattern
 from gelsim.fem.contact_kernels import (
     Layout,
     closest_points,
@@ -47,6 +46,7 @@ from gelsim.fem.contact_kernels import (
     vec6d,
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
+from gelsim.fem.pattern import PairPattern
 from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]

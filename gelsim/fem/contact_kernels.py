@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from gelsim.fem.assembly import PairPattern, add_block, find_pair
+from gelsim.fem.pattern import PairPattern, add_block, find_pair
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 

@@ -1,7 +1,8 @@
 """Where the work of a press goes: the platen's work against energy stored, lost in friction, and held by the overlap.
 
     W = ∫ R·du  over the driven nodes (platen, or the whole surface of a rigid object), R internal and contact forces on them
-    E = Π(u, p) of both solids (assembly.py), at the present state
+    E = Π(u, p) of both solids (assembly.py), at the present state; of solids that remember (viscoelastic.py) the work done on them, stored
+        and lost: ∫ f·du of their forces by the trapezoidal rule
     D = Σ ½(t₀ + t)·e  over friction's points: e the slip of a load step, t₀ and t the traction before and after it
     C = Σ ½(p₀ + p) Δ(overlap)  over contact's points: what the penalty and its multiplier take up, an error of the method
 
@@ -35,6 +36,7 @@ class EnergyBalance:
         self._power: list[tuple[float, float]] = []
         """R·Δu/Δs of each step with R at its beginning and at its end."""
         self._stored = self._lost = self._overlap_work = 0.0
+        self._internal = self._u = np.zeros_like(problem.solids.rest)
         nodes, points = len(problem.driven), len(problem.contact.rest_weight)
         self._moved, self._reaction = np.zeros((nodes, 3)), np.zeros((nodes, 3))
         self._traction, self._pressure, self._overlap = np.zeros((points, 3)), np.zeros(points), np.zeros(points)
@@ -46,7 +48,12 @@ class EnergyBalance:
         external = wp.zeros(problem.solids.node_count, dtype=wp.vec3d, device=problem.solids.device)
         contact.add_force(x, external)
         internal, _, _ = problem.solids.internal_force()
-        self._stored = problem.solids.energy()
+        if problem.memory is None:
+            self._stored = problem.solids.energy()
+        else:
+            u = problem.solids.displacement.numpy().copy()
+            self._stored += float((0.5 * (internal + self._internal) * (u - self._u)).sum())
+            self._internal, self._u = internal.copy(), u
         reaction = (internal + external.numpy())[problem.driven]
         moved = problem.solids.displacement.numpy()[problem.driven]
         travel, spacing = moved - self._moved, approach - self._approach[-1]

@@ -12,9 +12,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveError
-from gelsim.fem.assembly import Solids, build_pattern
+from gelsim.fem.assembly import Solids
 from gelsim.fem.elements import tet_quadrature_data
 from gelsim.fem.linear import make_solver
+from gelsim.fem.pattern import build_pattern
 from gelsim.fem.problem import MM, isochoric_constants
 from gelsim.geometry import TetMesh
 from gelsim.materials import ElasticMaterial

@@ -23,13 +23,14 @@ Array = NDArray[np.float64]
 FORCE_ERROR_PER_JUMP = 0.8
 
 
-def stress_jump(tets: NDArray[np.int32], quadrature: TetQuadrature, shear: Array, displacement: Array) -> float:
+def stress_jump(tets: NDArray[np.int32], quadrature: TetQuadrature, shear: Array, displacement: Array, regions: NDArray[np.int32]) -> float:
     """η² of a state.
 
     Args:
-        tets: (T, 10), with their `quadrature`; bodies do not share nodes.
+        tets: (T, 10), with their `quadrature`.
         shear: Small-strain shear modulus of each tet, (T,). Other laws are judged by the neo-Hookean stress of their deformation.
         displacement: Of all nodes, (N, 3), in the unit of the quadrature's lengths.
+        regions: Of which material each tet is, (T,): stress may jump between two, so each has averages of its own.
     """
     gradients, weights, shape = quadrature.gradients, quadrature.weights, quadrature.pressure_shape
     h = np.einsum("tni,tqnj->tqij", displacement[tets], gradients, optimize=True)
@@ -37,10 +38,10 @@ def stress_jump(tets: NDArray[np.int32], quadrature: TetQuadrature, shear: Array
     b = f @ np.swapaxes(f, -1, -2) * np.linalg.det(f)[..., None, None] ** (-2 / 3)
     deviator = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
     tau = shear[:, None, None, None] * deviator
-    vertices = tets[:, :4]
+    vertices = regions[:, None] * len(displacement) + tets[:, :4]
     # vertex averages, each point counting with its volume and its nearness
     share = weights[..., None] * shape
-    count = len(displacement)
+    count = (int(regions.max()) + 1) * len(displacement)
     total = np.bincount(vertices.ravel(), share.sum(1).ravel(), count)
     moment = np.einsum("tqa,tqij->taij", share, tau, optimize=True).reshape(-1, 9)
     average = np.stack([np.bincount(vertices.ravel(), moment[:, c], count) for c in range(9)], 1)

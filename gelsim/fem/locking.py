@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from gelsim.fem.assembly import PairPattern, Solids, add_block, add_entry, find_pair
+from gelsim.fem.assembly import Solids
 from gelsim.fem.hyperelastic import cofactor, volume_change
+from gelsim.fem.pattern import PairPattern, add_block, add_entry, find_pair
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 

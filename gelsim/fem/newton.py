@@ -13,9 +13,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
-from gelsim.fem.assembly import Solids, SymmetricPattern, build_pattern, pair_keys
+from gelsim.fem.assembly import Solids
 from gelsim.fem.contact import SurfaceContact
 from gelsim.fem.linear import SymmetricSystem
+from gelsim.fem.pattern import SymmetricPattern, build_pattern, pair_keys
 
 # A step on the last factorisation costs a tenth of a new one. It is taken below this residual while the steps shrink it by so much.
 CHORD_BELOW = 0.05

@@ -6,6 +6,7 @@ driven.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +16,8 @@ from gelsim.fem.assembly import Solids
 from gelsim.fem.contact import ContactLaw, SurfaceContact
 from gelsim.fem.elements import tet_quadrature_data
 from gelsim.fem.newton import Newton, NewtonOptions
+from gelsim.fem.pattern import split_pressures
+from gelsim.fem.viscoelastic import Memory, prony_arrays
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.materials import OGDEN_TERMS, ElasticMaterial
 from gelsim.scene import Scene
@@ -32,11 +35,15 @@ TOLERANCES = {"fast": 3e-4, "balanced": 1e-4, "reference": 1e-6}  # imbalance le
 
 
 class PressProblem:
-    """A scene made ready for Newton: numbering, supports, materials, contact."""
+    """A scene made ready for Newton: numbering, supports, materials, contact.
+
+    `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`.
+    """
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
-                 gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *, tet_points: int = 4,
-                 contact_points: int = 6, tolerance: float | None = None) -> None:  # fmt: skip
+                 gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
+                 part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
+                 tolerance: float | None = None) -> None:  # fmt: skip
         self.scene, self.gel, self.body = scene, gel, body
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -53,30 +60,41 @@ class PressProblem:
         for axis, column in (("x", 0), ("y", 1)):
             if axis in gel.symmetry:
                 fixed[:, column] |= np.abs(rest[:, column]) < 1e-9
-        meshes = [(gel, gel_material, 0)]
+        meshes: list[tuple[TetMesh, list[ElasticMaterial], int]] = [(gel, [gel_material], 0)]
         if isinstance(body, TetMesh):
             assert object_material is not None
             self.driven = n + np.unique(body.groups["base"])
-            meshes.append((body, object_material, n))
+            meshes.append((body, [object_material, *part_materials], n))
         else:
             self.driven = self.object_nodes
         fixed[self.driven] = True
 
-        parts = []
-        ogden = any(material.law == "ogden" for _, material, _ in meshes)
-        for mesh, material, shift in meshes:
+        parts, of_tets = [], []
+        ogden = any(material.law == "ogden" for _, several, _ in meshes for material in several)
+        for mesh, several, shift in meshes:
             data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), tet_points)
-            count = len(mesh.tets)
-            law = np.tile(isochoric_constants(material, ogden), (count, 1))
-            parts.append((mesh.tets + shift, data, law, np.full(count, material.kappa * KPA)))
+            law = np.array([isochoric_constants(material, ogden) for material in several])[mesh.regions]
+            kappa = np.array([material.kappa * KPA for material in several])[mesh.regions]
+            parts.append((mesh.tets + shift, data, law, kappa))
+            of_tets += [several[region] for region in mesh.regions]
         data = parts[0][1]
         if len(parts) > 1:
             data = type(data)(*(np.concatenate([getattr(p[1], f) for p in parts]) for f in ("gradients", "weights")), data.pressure_shape)
         tets, law, kappa = (np.concatenate([p[i] for p in parts]) for i in (0, 2, 3))
-        self.solids = Solids(rest, tets.astype(np.int32), data, law, kappa, fixed, device)
+        tets = tets.astype(np.int32)
+        # parts of one material are one solid; between two, bodies or parts, stress and pressure may jump
+        kinds = list(dict.fromkeys(of_tets))
+        shift = np.concatenate([np.zeros(len(parts[0][0]), int), *(np.ones(len(p[0]), int) for p in parts[1:])])
+        self.regions = np.array([kinds.index(material) for material in of_tets], np.int32) + len(kinds) * shift.astype(np.int32)
+        pressures, copies = split_pressures(tets, self.regions, len(rest))
+        rest, fixed = np.concatenate([rest, rest[copies]]), np.concatenate([fixed, fixed[copies]])
+        self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
-        self.shear = np.concatenate([np.full(len(mesh.tets), material.mu * KPA) for mesh, material, _ in meshes])
-        softest = min(m.youngs_modulus for _, m, _ in meshes) * KPA
+        self.shear = np.array([material.mu * KPA for material in of_tets])
+        softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA
+        self.memory: Memory | None = None
+        if any(material.prony for _, several, _ in meshes for material in several):
+            self.memory = self.solids.remember(*prony_arrays([material.prony for material in of_tets]))
         stiffness = PENALTY_PER_MODULUS * softest
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
@@ -100,6 +118,8 @@ class PressProblem:
         """Back to rest, with nothing remembered of contact."""
         self.solids.set_state((np.zeros_like(self.solids.rest), np.zeros(self.solids.node_count)))
         self.contact.forget()
+        if self.memory is not None:
+            self.memory.forget()
 
     def contact_force(self) -> Array:
         """Force on the gel by the object [N], the whole body's."""

@@ -7,7 +7,9 @@ force reaches it, found by the secant rule; without `depth_mm` a first march fin
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
-Left out: inertia, gravity (0.1 kPa per 10 mm of silicone), viscosity.
+Solids that remember (viscoelastic.py) are told how long each step takes; `hold_s` lets them relax at the end.
+
+Left out: inertia, gravity (0.1 kPa per 10 mm of silicone).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import MM, PressProblem
 from gelsim.fem.recording import Recorder
+from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
 from gelsim.scene import Press, Scene
 
@@ -36,6 +39,7 @@ OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FORCE_TOLERANCE = 2e-3  # of force_n
 SEARCH_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force
+FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,8 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     deformation = march.recorder.deformation(march.status, message, march.halved)
     deformation.info["energy"] = march.energy.report()
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        deformation.info["warnings"] = [f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"]
+        told = f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"
+        deformation.info["warnings"] = [*deformation.info.get("warnings", []), told]  # type: ignore[misc]
     return deformation
 
 
@@ -93,7 +98,7 @@ def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, float
     """Approach [m] at which the force that ends the press is reached, straight down; leaves the problem at first touch again."""
     scene = problem.scene
     limit = _depth_limit(scene)
-    march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n), limit)
+    march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s), limit)
     yield from march.run(SEARCH_STEP, int(limit / SEARCH_STEP) + 2, None)
     problem.reset()
     # where even that march fails, the recorded one shall run into it and say so
@@ -131,7 +136,7 @@ class _March:
         """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m]."""
         problem = self.problem
         yield Request(1.0, solve=False)  # first touch
-        problem.contact.settle()
+        self._settle()
         self._keep(states, progress)
         step, easy = spacing, 0
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
@@ -149,13 +154,38 @@ class _March:
                 new, force = yield from self._stop_at_force(here, new, force)
                 self.stopped = True
             self.energy.step(new)
-            problem.contact.settle()
+            self._settle()
             self._previous, self.approach, self.normal_force = here, new, force
             easy += 1
             if easy >= 2 and step < spacing:
                 step, easy = min(2 * step, spacing), 0
             if self.stopped or abs(new - target) < 1e-9 * spacing:
                 self._keep(states, progress)
+        if self.press.hold_s and problem.memory is not None:
+            yield from self._hold(problem.memory, progress)
+
+    def _hold(self, memory: Memory, progress: Progress | None) -> Marching:
+        """Lets the solids relax where the press ended, in steps of time that grow from a part of the shortest one; records the end."""
+        left, step = self.press.hold_s, FIRST_HOLD_STEP * float(memory.times[memory.shares > 0.0].min())
+        smallest = SMALLEST_STEP * step
+        while left > 1e-9 * self.press.hold_s:
+            step = min(step, left)
+            here = _State(self.approach, self.problem.solids.state(), self.problem.contact.save())
+            if not (yield from self._attempt(here, self.approach, step)):
+                step, self.halved = step / 2, self.halved + 1
+                if step < smallest:
+                    return
+                continue
+            self.status, self.message = SolveStatus.CONVERGED, ""
+            self._settle()
+            left, step = left - step, HOLD_STEP_GROWTH * step
+        self._keep(len(self.recorder.approach) + 1, progress)
+
+    def _settle(self) -> None:
+        """Makes the present state the past: of contact, and of what the solids remember."""
+        self.problem.contact.settle()
+        if self.problem.memory is not None:
+            self.problem.memory.keep(self.problem.solids.state()[0])
 
     def _keep(self, states: int, progress: Progress | None) -> None:
         self.recorder.keep(self.approach, self._iterations, self._factorisations)
@@ -163,11 +193,13 @@ class _March:
         if progress is not None:
             progress(len(self.recorder.approach), states)
 
-    def _attempt(self, here: _State, new: float) -> Generator[Request, NewtonReport, bool]:
-        """Solves at approach `new` [m], from `here`; where that fails everything is put back."""
+    def _attempt(self, here: _State, new: float, seconds: float = 0.0) -> Generator[Request, NewtonReport, bool]:
+        """Solves at approach `new` [m], from `here`; where that fails everything is put back. 0 seconds: what the travel takes."""
         problem = self.problem
         contact = problem.contact
         self._predict(here, new)
+        if problem.memory is not None:
+            problem.memory.begin(seconds or (new - here.approach) * MM / self.press.speed_mm_s)
         reach = 1.0 + 2 * (new - here.approach) * MM
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)

@@ -66,7 +66,7 @@ class Recorder:
         placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
         object_motion, _ = _whole(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
         # of the last state kept: after a failure the solids hold that one again
-        jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM)
+        jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
             numbers[name] = numbers[name].astype(np.int32)

@@ -2,7 +2,7 @@
 
 Only the potentials are written out,
 
-    Π(u, p) = ∫ Ŵ + p (J - 1) - p²/(2κ) dV                 (assembly.py, hyperelastic.py)
+    Π(u, p) = ∫ Ŵ + p (J - 1) - p²/(2κ) + H:(C - 1)/2 dV   (assembly.py, hyperelastic.py; H only in viscoelastic.py)
     Φ(x)    = ∫ φ(λ/k - g(x)) dA                           (contact.py)
 
 with J = det F and g the signed distance to the closest point of a six-node face, and Coulomb's return mapping, which has no potential.
@@ -100,36 +100,60 @@ def first_piola(f: Array, law: Array, pressure: Array) -> Array:
     return 2 * slope * j ** (-2 / 3) * (f - i1 / 3 * inverse_transpose) + volumetric
 
 
-def element_residual(unknowns: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float) -> Array:
-    """∂Π/∂(u, p) of one tet, (34,): 10 nodal forces [mN] and 4 volumes [mm³] one after the other; `unknowns` (34,) likewise."""
+def element_residual(unknowns: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float,
+                     history: Array | None = None) -> Array:  # fmt: skip
+    """∂Π/∂(u, p) of one tet, (34,): 10 nodal forces [mN] and 4 volumes [mm³] one after the other; `unknowns` (34,) likewise.
+
+    history: H (Q, 3, 3) [kPa].
+    """
     u, p = unknowns[:30].reshape(10, 3), unknowns[30:]
     force, volume = np.zeros((10, 3), unknowns.dtype), np.zeros(4, unknowns.dtype)
-    for g, w, n in zip(gradients, weights, shape, strict=True):
+    for g, w, n, h in zip(gradients, weights, shape, np.zeros((len(shape), 3, 3)) if history is None else history, strict=True):
         f = np.eye(3) + u.T @ g
         pressure = n @ p
-        force = force + w * g @ first_piola(f, law, pressure).T
+        force = force + w * g @ (first_piola(f, law, pressure) + f @ h).T
         volume = volume + w * n * (np.linalg.det(f) - 1 - pressure / kappa)
     return np.concatenate([force.ravel(), volume])
 
 
-def element_tangent(unknowns: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float) -> Array:
+def element_tangent(unknowns: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float,
+                    history: Array | None = None) -> Array:  # fmt: skip
     """∂²Π/∂(u, p)² of one tet, (34, 34)."""
-    return derivative(lambda v: element_residual(v, gradients, weights, shape, law, kappa), unknowns)
+    return derivative(lambda v: element_residual(v, gradients, weights, shape, law, kappa, history), unknowns)
 
 
-def assemble(u: Array, p: Array, tets: NDArray[np.int32], gradients: Array, weights: Array, shape: Array, law: Array,
-             kappa: Array) -> tuple[float, Array, Array]:  # fmt: skip
-    """Energy, residual (N, 4) and dense tangent (N, 4, N, 4) of a mesh; component 3 of a node is its pressure."""
+def assemble(u: Array, p: Array, tets: NDArray[np.int32], gradients: Array, weights: Array, shape: Array, law: Array, kappa: Array,
+             pressures: NDArray[np.int32] | None = None, history: Array | None = None) -> tuple[float, Array, Array]:  # fmt: skip
+    """Energy (without H), residual (N, 4) and dense tangent (N, 4, N, 4) of a mesh; component 3 of a node is its pressure.
+
+    pressures: The nodes that carry each tet's pressure (T, 4), its vertices unless given. history: H (T, Q, 3, 3).
+    """
     count = len(u)
     energy, residual, tangent = 0.0, np.zeros(4 * count), np.zeros((4 * count, 4 * count))
     for t, tet in enumerate(tets):
-        place = np.concatenate([(4 * tet[:, None] + np.arange(3)).ravel(), 4 * tet[:4] + 3])
-        unknowns = np.concatenate([u[tet].ravel(), p[tet[:4]]])
+        carrier = tet[:4] if pressures is None else pressures[t]
+        place = np.concatenate([(4 * tet[:, None] + np.arange(3)).ravel(), 4 * carrier + 3])
+        unknowns = np.concatenate([u[tet].ravel(), p[carrier]])
         data = (gradients[t], weights[t], shape, law[t], float(kappa[t]))
-        energy += element_energy(u[tet], p[tet[:4]], *data).real
-        residual[place] += element_residual(unknowns, *data)
-        tangent[np.ix_(place, place)] += element_tangent(unknowns, *data)
+        stress = None if history is None else history[t]
+        energy += element_energy(u[tet], p[carrier], *data).real
+        residual[place] += element_residual(unknowns, *data, stress)
+        tangent[np.ix_(place, place)] += element_tangent(unknowns, *data, stress)
     return energy, residual.reshape(count, 4), tangent.reshape(count, 4, count, 4)
+
+
+def isochoric_second_piola(f: Array, law: Array) -> Array:
+    """Ŝ = F⁻¹ ∂Ŵ/∂F [kPa] (3, 3), from the energy."""
+    return np.asarray(np.linalg.solve(f, derivative(lambda x: np.asarray(isochoric_energy(x, law)), f)), np.float64)
+
+
+def overstress(times: Array, stresses: Array, share: float, tau: float) -> Array:
+    """Q(t) = g ∫ e^(-(t-s)/τ) dŜ/ds ds at the last of `times` (K,) [s], of stresses (K, ...) joined by straight lines: no recursion."""
+    total = np.zeros(stresses.shape[1:])
+    for begin, end, before, after in zip(times[:-1], times[1:], stresses[:-1], stresses[1:], strict=True):
+        kernel = tau * (np.exp((end - times[-1]) / tau) - np.exp((begin - times[-1]) / tau))
+        total = total + share * kernel * (after - before) / (end - begin)
+    return total
 
 
 # ---------------------------------------------------------------------------------------------------------------- contact

@@ -9,8 +9,8 @@ import warp as wp
 from fem_fixtures import MM, Array, box_mesh
 
 from gelsim.fem import reference
-from gelsim.fem.assembly import SymmetricPattern, build_pattern, pair_keys
 from gelsim.fem.contact import ContactLaw, SurfaceContact
+from gelsim.fem.pattern import SymmetricPattern, build_pattern, pair_keys
 from gelsim.geometry import quadratic_faces
 
 EPS = np.finfo(float).eps

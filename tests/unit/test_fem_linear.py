@@ -8,8 +8,9 @@ import scipy.sparse as sp
 import warp as wp
 from fem_fixtures import MM, Array, box_mesh, solids_of, tangent_of
 
-from gelsim.fem.assembly import Solids, build_pattern, element_pairs, pair_keys
+from gelsim.fem.assembly import Solids
 from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, find_mkl, float64_factors, make_solver
+from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
 from gelsim.fem.reference import element_tangent
 from gelsim.materials import ElasticMaterial
 
