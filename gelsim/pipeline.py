@@ -12,15 +12,16 @@ import importlib.metadata
 import platform
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from gelsim import materials, outputs
 from gelsim.errors import SceneError, SolveError, SolveStatus
+from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.results import Deformation, Frame, Membrane
 from gelsim.scene import Scene
 from gelsim.scene_file import load_scene, scene_table
@@ -75,7 +76,7 @@ def press(
     """
     record = record or Record()
     with record.stage("import"):
-        from gelsim import meshing, shapes
+        from gelsim import shapes
         from gelsim.fem import solve_press
     symmetry = shapes.press_symmetry(scene)
     record.choices["symmetry"] = sorted(symmetry)
@@ -85,20 +86,7 @@ def press(
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     for name, material in list(object_materials.items())[1:]:
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
-    with record.stage("mesh"):
-        if scene.object.mesh:
-            _check_depth(scene, scene.object.mesh)
-        # The object first: a file that cannot be used should not cost the gel's mesh.
-        if object_material is None:
-            body = surface = shapes.rigid_surface(scene, symmetry)
-            record.meshes["object"] = {"nodes": len(body.nodes), "elements": 0, "surface_faces": len(body.faces)}
-        else:
-            body = meshing.mesh_object(scene, symmetry)
-            surface = body.surface("contact")
-            record.meshes["object"] = meshing.mesh_report(body)
-        gel = meshing.mesh_gel(scene, symmetry)
-        record.meshes["gel"] = meshing.mesh_report(gel)
-        placement = shapes.placement(scene, surface)
+    gel, body, placement = _bodies(scene, symmetry, record)
     with record.stage("press"):
         return solve_press(
             scene,
@@ -112,6 +100,74 @@ def press(
             progress=(lambda done, total: progress("press", done, total)) if progress else None,
             throw=throw,
         )
+
+
+def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
+    """Meshes of gel and object, of a rigid one its surface, and the object's placement at first touch."""
+    with record.stage("import"):
+        from gelsim import meshing, shapes
+    with record.stage("mesh"):
+        if scene.object.mesh:
+            _check_depth(scene, scene.object.mesh)
+        # The object first: a file that cannot be used should not cost the gel's mesh.
+        if scene.object.rigid:
+            body = surface = shapes.rigid_surface(scene, symmetry)
+            record.meshes["object"] = {"nodes": len(body.nodes), "elements": 0, "surface_faces": len(body.faces)}
+        else:
+            body = meshing.mesh_object(scene, symmetry)
+            surface = body.surface("contact")
+            record.meshes["object"] = meshing.mesh_report(body)
+        gel = meshing.mesh_gel(scene, symmetry)
+        record.meshes["gel"] = meshing.mesh_report(gel)
+        placement = shapes.placement(scene, surface)
+        return gel, body, placement
+
+
+def bodies(scene: Scene) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
+    """Meshes of gel and object, of a rigid one its surface, and the object's placement (rotation, translation [m]) at first touch."""
+    from gelsim import shapes
+
+    return _bodies(scene, shapes.press_symmetry(scene), Record())
+
+
+def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64, progress: Progress | None = None) -> list[Deformation]:
+    """Solves many presses; those with the same meshes side by side, up to `size` at once. A press that fails says so in its `status`.
+
+    Args:
+        device: "auto" takes a CUDA device where there is one; on the CPU a batch is no faster than its presses one by one.
+    Raises:
+        SceneError, MeshingError: as `press`, before anything is solved.
+    """
+    from gelsim.fem import batch_device, solve_batch
+
+    groups: dict[bytes, list[int]] = {}
+    prepared, known = [], {}
+    for number, scene in enumerate(scenes):
+        shape = _geometry(scene)
+        if shape not in known:
+            known[shape] = bodies(scene)
+        gel, body, placement = known[shape]
+        prepared.append((scene, gel, body, placement))
+        cells = gel.tets, body.tets if isinstance(body, TetMesh) else body.faces
+        groups.setdefault(b"".join(array.tobytes() for array in cells), []).append(number)
+    presses: dict[int, Deformation] = {}
+    for members in groups.values():
+        for start in range(0, len(members), size):
+            some = members[start : start + size]
+            show = _counting(progress, len(presses), len(scenes))
+            presses |= zip(some, solve_batch([prepared[i] for i in some], device=batch_device(device), progress=show), strict=True)
+    return [presses[number] for number in range(len(scenes))]
+
+
+def _geometry(scene: Scene) -> str:
+    """All of a scene that decides its meshes: scenes that differ in materials alone share them."""
+    same: dict[str, Any] = {"shore_00": None, "shore_a": None, "youngs_modulus_kpa": 1.0, "poissons_ratio": 0.49}
+    return repr((replace(scene.gel, **same), replace(scene.object, **same), scene.press, scene.fidelity))
+
+
+def _counting(progress: Progress | None, before: int, total: int) -> Callable[[int, int], None] | None:
+    """Progress of a part, after `before` of `total`."""
+    return (lambda done, _: progress("press", before + done, total)) if progress else None
 
 
 def _check_depth(scene: Scene, path: str) -> None:

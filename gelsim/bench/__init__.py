@@ -8,6 +8,7 @@ cases of any sections, one line of results.jsonl each as soon as it is known, so
 SECTIONS = {
     "accuracy": "gelsim.bench.accuracy",
     "speed": "gelsim.bench.speed",
+    "batch": "gelsim.bench.batch",
     "stability": "gelsim.bench.stability",
 }
 """Section, and the module that holds it, in the order they are run and written. Names alone: nothing heavy is imported before it runs."""

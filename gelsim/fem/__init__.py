@@ -1,4 +1,4 @@
-"""Contact finite elements: gel and object, solved together. `solve_press` is the door; everything else is behind it."""
+"""Contact finite elements: gel and object, solved together. `solve_press` and `solve_batch` are the doors; the rest is behind them."""
 
 from __future__ import annotations
 
@@ -45,3 +45,38 @@ def solve_press(
     name = "cuda:0" if device == "cuda" else "cpu"
     problem = PressProblem(scene, gel, body, placement, gel_material, object_material, name, part_materials=part_materials)
     return run_press(problem, progress=progress, throw=throw)
+
+
+def batch_device(device: str) -> str:
+    """Warp's name of the device for a batch: "auto" is CUDA where there is one."""
+    import warp as wp
+
+    if device == "cpu" or (device == "auto" and not wp.is_cuda_available()):
+        return "cpu"
+    return "cuda:0"
+
+
+def solve_batch(
+    bodies: Sequence[tuple], *, device: str, progress: Callable[[int, int], None] | None = None, costs: object | None = None
+) -> list[Deformation]:
+    """Solves presses with the same meshes side by side.
+
+    Args:
+        bodies: Of each press the scene, gel, body and placement, as `solve_press` takes them.
+        device: "cpu" or "cuda:0".
+        progress: Called with (presses done, presses).
+        costs: A `batch.Costs`, filled with where the time went.
+    """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from gelsim.fem.batch import run_batch
+    from gelsim.fem.problem import PressProblem
+    from gelsim.materials import gel_material, object_materials
+
+    problems = []
+    for scene, gel, body, placement in bodies:
+        of_object = list(object_materials(scene).values())
+        first = of_object[0] if of_object else None
+        problems.append(PressProblem(scene, gel, body, placement, gel_material(scene), first, device, part_materials=of_object[1:]))
+    return run_batch(problems, progress=progress, costs=costs)

@@ -15,6 +15,8 @@ that carry its pressure, which are its vertices but where another material holds
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -333,6 +335,20 @@ def _ogden_kernels(points: int):
     return ogden_residual, ogden_tangent
 
 
+# Where `Solids._inputs` holds what changes and what all scenes share.
+_DISPLACEMENT, _PRESSURE, _SHAPE = 1, 2, 5
+
+
+def join_arrays(arrays: Sequence[wp.array]) -> wp.array:
+    """Arrays of equal shape, one after the other."""
+    first = arrays[0]
+    length = first.shape[0]
+    whole = wp.empty((len(arrays) * length, *first.shape[1:]), dtype=first.dtype, device=first.device)
+    for number, array in enumerate(arrays):
+        wp.copy(whole[number * length : (number + 1) * length], array)
+    return whole
+
+
 class Solids:
     """One or two solids with a common node numbering, their state, and which of their unknowns are free. Solver units (mm, kPa).
 
@@ -371,7 +387,7 @@ class Solids:
         ogden = law.shape[1] == 2 * OGDEN_TERMS
         self._residual, self._tangent = element_kernels(quadrature.weights.shape[1], "ogden" if ogden else "cubic")
         self._quadrature = quadrature
-        self._rest = array(rest, wp.vec3d)
+        self.rest_positions = array(rest, wp.vec3d)
         self.displacement = wp.zeros(self.node_count, dtype=wp.vec3d, device=device)
         self.pressure = wp.zeros(self.node_count, dtype=wp.float64, device=device)
         self._inputs = [
@@ -383,13 +399,49 @@ class Solids:
         self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
         self.element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)
 
+    @staticmethod
+    def join(solids: Sequence[Solids]) -> Solids:
+        """The solids of many scenes with the same elements as one, nodes and unknowns of one scene after those of the other.
+
+        The scenes' own solids go on as views of its state. Solids that remember (Prony) have no place in it.
+        """
+        if any(one._memory is not None for one in solids):
+            raise ValueError("viscoelastic solids cannot be joined")
+        first, joint = solids[0], copy.copy(solids[0])
+        joint.__dict__.pop("keys", None)
+        count = len(solids)
+        shift = np.arange(count, dtype=np.int32)
+        joint.rest = np.concatenate([s.rest for s in solids])
+        joint.tets = (first.tets + first.node_count * shift[:, None, None]).reshape(-1, 10)
+        cells = first._inputs[0].numpy() + first.node_count * shift[:, None, None]
+        joint.free, joint.vertex_volume = np.tile(first.free, (count, 1)), np.tile(first.vertex_volume, count)
+        joint.equation = np.where(first.equation >= 0, first.equation + first.unknowns * shift[:, None, None], -1).reshape(-1, 4)
+        joint.node_count, joint.unknowns = count * first.node_count, count * first.unknowns
+        inputs = [join_arrays([s._inputs[i] for s in solids]) for i in range(len(first._inputs))]
+        inputs[0] = wp.array(cells.reshape(-1, 14), dtype=wp.int32, device=joint.device)
+        inputs[_SHAPE] = first._inputs[_SHAPE]
+        joint._inputs = inputs
+        joint.displacement, joint.pressure = inputs[_DISPLACEMENT], inputs[_PRESSURE]
+        joint.rest_positions = join_arrays([s.rest_positions for s in solids])
+        joint._element_energy, joint.element_jacobian = (wp.zeros(len(joint.tets), dtype=wp.float64, device=joint.device) for _ in range(2))
+        for number, one in enumerate(solids):
+            part = slice(number * one.node_count, (number + 1) * one.node_count)
+            one.displacement, one.pressure = joint.displacement[part], joint.pressure[part]
+            one._inputs[_DISPLACEMENT], one._inputs[_PRESSURE] = one.displacement, one.pressure
+        return joint
+
     @cached_property
     def keys(self) -> NDArray[np.int64]:
         """Node pairs that share a tet (`element_pairs`)."""
         return element_pairs(self._cells, self.node_count)
 
+    @property
+    def element_bytes(self) -> int:
+        """Bytes of constant data that an assembly reads."""
+        return sum(array.capacity for array in self._inputs)
+
     def positions(self) -> wp.array:
-        return self._rest + self.displacement
+        return self.rest_positions + self.displacement
 
     def internal_force(self) -> tuple[Array, Array, float]:
         """∂Π/∂u (N, 3) [mN], ∂Π/∂p (N,) [mm³], and the smallest det F over all quadrature points."""

@@ -35,6 +35,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from gelsim.fem.assembly import join_arrays
 from gelsim.fem.contact_kernels import (
     Layout,
     closest_points,
@@ -151,14 +152,10 @@ class SurfaceContact:
         joint.__dict__.pop("_search", None)
         for name in _STATE + _CONSTANTS:
             arrays = [getattr(contact, name) for contact in contacts]
-            length = len(arrays[0])
-            whole = wp.empty(len(contacts) * length, dtype=arrays[0].dtype, device=joint.device)
-            for number, (contact, array) in enumerate(zip(contacts, arrays, strict=True)):
-                part = whole[number * length : (number + 1) * length]
-                wp.copy(part, array)
-                if name in _STATE:
-                    setattr(contact, name, part)
+            whole, length = join_arrays(arrays), len(arrays[0])
             setattr(joint, name, whole)
+            for number, contact in enumerate(contacts) if name in _STATE else ():
+                setattr(contact, name, whole[number * length : (number + 1) * length])
         joint._share()
         joint.friction.assign([contact.law.friction for contact in contacts])
         joint.frictional = any(contact.frictional for contact in contacts)
@@ -322,7 +319,7 @@ class SurfaceContact:
         self.set_multipliers(np.zeros_like(self.multipliers))
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Node pairs (gel, object) that contact may couple in any scene: of faces closer than `margin` [mm], and of the faces around those."""
+        """Node pairs (gel, object) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
         gel_face = np.arange(len(self.weight)) // self.points % len(self.gel_faces)
         near = (self.gap.numpy() < margin) & (self.face.numpy() >= 0)
         pairs = [np.stack([gel_face[near], self.face.numpy()[near]], 1)]

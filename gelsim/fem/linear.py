@@ -26,6 +26,7 @@ from ctypes.util import find_library
 
 import numpy as np
 import scipy.sparse as sp
+import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, gmres
 from threadpoolctl import ThreadpoolController
@@ -210,6 +211,57 @@ class SymmetricSystem:
 
         operator = LinearOperator((len(b), len(b)), matvec=coupled)  # type: ignore[call-arg]
         return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]
+
+
+class BatchedSystem:
+    """Solves many symmetric systems with one pattern: on CUDA by cuDSS, all in one call; else one after the other.
+
+    Attributes: `factored`, of each system whether `solve` may be asked for; `factor_entries` and
+    `factor_flops` of one factorisation, 0 where they are not known.
+    """
+
+    def __init__(self, count: int, device: str) -> None:
+        self.count, self.factored, self.factor_entries = count, np.zeros(count, bool), 0
+        self.factor_flops = 0.0
+        self._cudss = None
+        if device.startswith("cuda"):
+            from gelsim.fem.cudss import CudssBatch
+
+            self._cudss = CudssBatch(count, device)
+            self.name = self._cudss.name
+        else:
+            self._direct = [make_solver() for _ in range(count)]
+            self.name = self._direct[0].name
+
+    def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
+        """Takes a new pattern; all have to be factorised again."""
+        self.factored[:] = False
+        if self._cudss is not None:
+            self._cudss.analyse(indptr, indices)
+            self.factor_entries, self.factor_flops = self._cudss.factor_entries, self._cudss.factor_flops
+            return
+        for direct in self._direct:
+            direct.analyse(indptr, indices, np.zeros(len(indices)))
+
+    def factorise(self, values: wp.array, which: NDArray[np.bool_]) -> None:
+        """Factorises the systems `which`; `values` holds those of all, one system after the other."""
+        self.factored |= which
+        if self._cudss is not None:
+            self._cudss.factorise(values, which)
+            return
+        parts = values.numpy().reshape(self.count, -1)
+        for one in np.flatnonzero(which):
+            self._direct[one].factorise(parts[one].copy())
+
+    def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
+        """Writes the solutions of the systems `which` into x; leaves the others' places alone."""
+        if self._cudss is not None:
+            self._cudss.solve(b, x, which)
+            return
+        right, found = b.numpy().reshape(self.count, -1), x.numpy().reshape(self.count, -1).copy()
+        for one in np.flatnonzero(which):
+            found[one] = self._direct[one].solve(right[one].copy())
+        x.assign(found.ravel())
 
 
 def single_threaded_blas():  # type: ignore[no-untyped-def]

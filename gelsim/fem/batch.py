@@ -1,0 +1,372 @@
+"""Many presses at once: scenes with the same meshes, their Newton iterations side by side in one launch each.
+
+Every scene runs the same march as a press by itself (quasistatic.py), as a generator; what it asks for is solved here. A tick is one Newton
+iteration of every scene that is at work, whatever its load step: contact, forces, matrices and steps of all scenes together, decisions
+(converged? chord step? how far along the step?) by vectors with an entry a scene. No scene waits for another, and one that is done leaves.
+
+Newton's rules are those of newton.py. Left out: the unsymmetric part of slipping friction (`slip_coupling`), so a scene that slips takes
+more iterations here; every scene keeps the tolerance of its own fidelity.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gelsim.errors import SolveStatus
+from gelsim.fem.assembly import Solids
+from gelsim.fem.batch_kernels import balance, least, move, positions, work
+from gelsim.fem.contact import FROZEN, OVERHANG, SurfaceContact
+from gelsim.fem.linear import BatchedSystem, single_threaded_blas
+from gelsim.fem.newton import (
+    CHORD_BELOW,
+    CHORD_DROP,
+    FREEZE_AFTER,
+    GEOMETRIC_BELOW,
+    LINE_SEARCH_DROP,
+    MAX_LINE_SEARCH,
+    SMALLEST_JACOBIAN,
+    NewtonReport,
+)
+from gelsim.fem.pattern import PairPattern, SymmetricPattern, build_pattern, pair_keys
+from gelsim.fem.problem import PressProblem
+from gelsim.fem.quasistatic import Request, march_press
+from gelsim.results import Deformation
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MARGIN_MM = 0.6
+"""Gap under which a pair of faces is given its place in the matrix: wider than for one press, as a new order costs all scenes."""
+REACH_MM = 2.0
+"""Bounds the search for contact."""
+
+
+@dataclass
+class Costs:
+    """Where the time of a batch goes: wall seconds by stage, and how often each stage ran. Measuring makes the device wait after each."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    calls: dict[str, int] = field(default_factory=dict)
+    systems: dict[str, int] = field(default_factory=dict)
+    """Systems factorised and solved: of a call only the scenes that need it."""
+    unknowns: int = 0
+    matrix_entries: int = 0
+    """Of one scene's upper triangle."""
+    factor_entries: int = 0
+    """Of one scene's factor, 0 where the solver does not say."""
+    factor_flops: float = 0.0
+    element_bytes: int = 0
+    """What an assembly reads of one scene's elements."""
+
+
+def run_batch(
+    problems: Sequence[PressProblem], *, progress: Callable[[int, int], None] | None = None, costs: Costs | None = None
+) -> list[Deformation]:
+    """Solves presses whose meshes have the same elements; a press that fails says so in its `status`.
+
+    Args:
+        progress: Called with (presses done, presses).
+        costs: Filled with where the time went.
+    Raises:
+        ValueError: The meshes differ.
+    """
+    batch = _Batch(problems, costs)
+    with single_threaded_blas():
+        return batch.run(progress)
+
+
+@dataclass
+class _Residual:
+    """Of every scene, by names of newton.Residual."""
+
+    imbalance: Array
+    volume_error: Array
+    min_jacobian: Array
+    finite: Mask
+
+    @property
+    def size(self) -> Array:
+        return np.maximum(self.imbalance, self.volume_error)
+
+
+class _Batch:
+    """The scenes' common arrays, and where each scene's Newton stands."""
+
+    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None = None) -> None:
+        self.costs = costs
+        first = problems[0]
+        for problem in problems:
+            same = (problem.solids.tets, first.solids.tets), (problem.solids.free, first.solids.free)
+            faces = (problem.contact.gel_faces, first.contact.gel_faces), (problem.contact.object_faces, first.contact.object_faces)
+            if not all(np.array_equal(a, b) for a, b in (*same, *faces)):
+                raise ValueError("the presses of a batch must have the same meshes")
+        self.problems, self.count = problems, len(problems)
+        self.solids = Solids.join([problem.solids for problem in problems])
+        self.contact = SurfaceContact.join([problem.contact for problem in problems])
+        self.system = BatchedSystem(self.count, self.solids.device)
+        for problem in problems:
+            problem.linear_solver = self.system.name
+        self.pattern: SymmetricPattern | None = None
+        self.nodes, self.unknowns = first.solids.node_count, first.solids.unknowns
+        self._single = first.solids
+
+        device, total = self.solids.device, self.solids.node_count
+        self.equation = wp.array(self.solids.equation, dtype=wp.int32, device=device)
+        self.vertex_volume = wp.array(self.solids.vertex_volume, dtype=wp.float64, device=device)
+        self.x, self.start_u, self.internal, self.external = (wp.zeros(total, dtype=wp.vec3d, device=device) for _ in range(4))
+        self.start_p, self.volume = (wp.zeros(total, dtype=wp.float64, device=device) for _ in range(2))
+        length = self.count * self.unknowns
+        self.equations, self.step = (wp.zeros(length, dtype=wp.float64, device=device) for _ in range(2))
+        self.fraction, self.smallest, self.total = (wp.zeros(self.count, dtype=wp.float64, device=device) for _ in range(3))
+        self.sizes = wp.zeros((self.count, 5), dtype=wp.float64, device=device)
+        self._graphs: dict[str, object] = {}
+
+        # Newton's state of every scene
+        self.goal, self.before = np.full(self.count, np.inf), np.full(self.count, np.inf)
+        self.iteration, self.limit = np.zeros(self.count, int), np.zeros(self.count, int)
+        self.factorisations = np.zeros(self.count, int)
+        self.inverted = np.zeros(self.count, bool)
+
+    def run(self, progress: Callable[[int, int], None] | None) -> list[Deformation]:
+        """Drives all marches to their ends."""
+        marches = [march_press(problem) for problem in self.problems]
+        done: list[Deformation | None] = [None] * self.count
+        for scene, march in enumerate(marches):
+            self._take(scene, next(march))
+        active = np.ones(self.count, bool)
+        residual = self.residual()
+        while active.any():
+            while True:
+                moved = False
+                for scene in np.flatnonzero(active):
+                    report = self._ended(scene, residual)
+                    if report is None:
+                        continue
+                    try:
+                        with self._stage("march"):
+                            request = marches[scene].send(report)
+                    except StopIteration as end:
+                        done[scene], active[scene] = end.value, False
+                        if progress is not None:
+                            progress(int((~active).sum()), self.count)
+                        continue
+                    self._take(scene, request)
+                    moved = True
+                if not moved:
+                    break
+                residual = self.residual()
+            if active.any():
+                residual = self.iterate(active, residual)
+        assert all(press is not None for press in done)
+        return done  # type: ignore[return-value]
+
+    def _take(self, scene: int, request: Request) -> None:
+        """Begins what a march asks for."""
+        options = self.problems[scene].options
+        self.goal[scene] = request.tolerance or options.tolerance
+        self.limit[scene] = options.max_iterations if request.solve else 0
+        self.iteration[scene] = self.factorisations[scene] = 0
+        self.before[scene] = np.inf
+        self.inverted[scene] = False
+
+    def _ended(self, scene: int, residual: _Residual) -> NewtonReport | None:
+        """Whether, and how, a scene's Newton has ended."""
+        iteration, size = int(self.iteration[scene]), float(residual.size[scene])
+        status = None
+        if self.inverted[scene]:
+            status = SolveStatus.INVERTED_ELEMENT
+        elif not residual.finite[scene]:
+            status = SolveStatus.NONFINITE
+        elif iteration > 0 and size <= self.goal[scene]:
+            status = SolveStatus.CONVERGED
+        elif iteration == self.limit[scene]:
+            status = SolveStatus.MAX_ITERATIONS
+        if status is None:
+            return None
+        return NewtonReport(status, iteration, size, float(residual.min_jacobian[scene]), int(self.factorisations[scene]))
+
+    def residual(self) -> _Residual:
+        """Contact and equations of all scenes at their present states."""
+        with self._stage("residual"):
+            self._replay("residual", self._residual)
+        unbalanced, external, internal, volume, broken = self.sizes.numpy().T
+        scale = np.maximum(np.maximum(external, internal * 1e-3), 1e-9)
+        return _Residual(unbalanced / scale, volume.copy(), self.smallest.numpy().copy(), broken == 0.0)
+
+    def _residual(self) -> None:
+        solids, device = self.solids, self.solids.device
+        wp.launch(positions, solids.node_count, [solids.rest_positions, solids.displacement, self.x], device=device)
+        for array in (self.internal, self.external, self.volume, self.sizes):
+            array.zero_()
+        self.smallest.fill_(1e30)
+        self.contact.find(self.x, REACH_MM)
+        self.contact.add_force(self.x, self.external)
+        solids.add_internal_force(self.internal, self.volume)
+        inputs = [self.internal, self.external, self.volume, self.vertex_volume, self.equation, self.nodes, self.equations, self.sizes]
+        wp.launch(balance, solids.node_count, inputs, device=device)
+        elements = len(solids.tets) // self.count
+        wp.launch(least, len(solids.tets), [solids.element_jacobian, elements, self.smallest], device=device)
+
+    def _replay(self, name: str, launches: Callable[[], None]) -> None:
+        """Runs launches; on CUDA they are recorded once as a graph."""
+        if not wp.get_device(self.solids.device).is_cuda:
+            launches()
+            return
+        if name not in self._graphs:
+            launches()  # once before: kernels are loaded outside the recording
+            with wp.ScopedCapture(device=self.solids.device) as capture:
+                launches()
+            self._graphs[name] = capture.graph
+        wp.capture_launch(self._graphs[name])
+
+    def iterate(self, active: Mask, residual: _Residual) -> _Residual:
+        """One Newton iteration of the active scenes, as in newton.Newton.solve."""
+        size = residual.size
+        chord = self.system.factored & (size < CHORD_BELOW) & (size < CHORD_DROP * self.before)
+        self._factorise(active & ~chord, active, residual.imbalance < GEOMETRIC_BELOW)
+        self.before[active] = size[active]
+        with self._stage("solve", int(active.sum())):
+            self.system.solve(self.equations, self.step, active)  # the step is minus this
+        freeze = self.iteration >= FREEZE_AFTER
+        self.contact.overhang.assign(np.where(freeze, FROZEN, OVERHANG))
+        after = self._line_search(active)
+        self.contact.overhang.fill_(OVERHANG)
+        self.iteration[active] += 1
+        return after
+
+    def _factorise(self, wanted: Mask, active: Mask, near: Mask) -> None:
+        """Factorises the wanted scenes' tangents; of all active ones where the pattern has to grow."""
+        if not wanted.any() and self.pattern is not None:
+            return
+        self.contact.geometric.assign(near.astype(float))
+        for _ in range(2):
+            if self.pattern is not None:
+                with self._stage("tangent"):
+                    self._replay("tangent", self._tangent)
+                if int(self.contact.missing.numpy()[0]) == 0:
+                    with self._stage("factorise", int(wanted.sum())):
+                        self.system.factorise(self.values, wanted)
+                    self.factorisations[wanted] += 1
+                    return
+            with self._stage("pattern"):
+                self._grow()
+            wanted = active.copy()
+        raise AssertionError("the pattern made from the present contact does not hold it")
+
+    def _grow(self) -> None:
+        """Makes a pattern that holds the present contact of all scenes, and what may come."""
+        gel, body = self.contact.node_pairs(MARGIN_MM)
+        keys = np.union1d(self._single.keys, pair_keys(gel, body, self.nodes))
+        self.pattern = build_pattern(self._single.free, keys, self.solids.device)
+        self._pairs = repeat_pairs(self.pattern, self.count)
+        self.values = wp.zeros(self.count * len(self.pattern.indices), dtype=wp.float64, device=self.solids.device)
+        self._graphs.pop("tangent", None)
+        self.system.analyse(self.pattern.indptr, self.pattern.indices)
+        if self.costs is not None:
+            self.costs.unknowns, self.costs.matrix_entries = self.unknowns, len(self.pattern.indices)
+            self.costs.factor_entries, self.costs.factor_flops = self.system.factor_entries, self.system.factor_flops
+            self.costs.element_bytes = self._single.element_bytes
+
+    @contextmanager
+    def _stage(self, name: str, systems: int = 0) -> Iterator[None]:
+        costs = self.costs
+        if costs is None:
+            yield
+            return
+        start = time.perf_counter()
+        yield
+        wp.synchronize_device(self.solids.device)
+        costs.seconds[name] = costs.seconds.get(name, 0.0) + time.perf_counter() - start
+        costs.calls[name] = costs.calls.get(name, 0) + 1
+        costs.systems[name] = costs.systems.get(name, 0) + systems
+
+    def _tangent(self) -> None:
+        self.values.zero_()
+        self.contact.missing.zero_()
+        self.contact.add_stiffness(self.x, self._pairs, self.values)
+        self.solids.add_tangent(self._pairs, self.values)
+
+    def _line_search(self, active: Mask) -> _Residual:
+        """newton.Newton._line_search, scene by scene: each is moved to where the work of the unbalanced forces has shrunk."""
+        solids = self.solids
+        wp.copy(self.start_u, solids.displacement)
+        wp.copy(self.start_p, solids.pressure)
+        slope = -self._work()
+        searching = active & np.isfinite(slope)
+        fraction = np.where(searching, 1.0, 0.0)
+        low, high = np.zeros(self.count), np.full(self.count, np.nan)
+        low_slope, high_slope = slope.copy(), np.zeros(self.count)
+        for trial in range(MAX_LINE_SEARCH):
+            self._move(fraction)
+            residual = self.residual()
+            now = -self._work()
+            bad = (residual.min_jacobian <= SMALLEST_JACOBIAN) | ~residual.finite
+            last = trial == MAX_LINE_SEARCH - 1
+            for scene in np.flatnonzero(searching):
+                s, f = slope[scene], fraction[scene]
+                if bad[scene]:
+                    if not last:
+                        high[scene], high_slope[scene], fraction[scene] = np.nan, 0.0, low[scene] + 0.5 * (f - low[scene])
+                    continue
+                w = now[scene]
+                if s >= 0 or abs(w) <= LINE_SEARCH_DROP * abs(s) or (w < 0 and f == 1.0):
+                    searching[scene] = False
+                    continue
+                if w < 0:
+                    low[scene], low_slope[scene] = f, w
+                    high_slope[scene] *= 0.5
+                else:
+                    high[scene], high_slope[scene] = f, w
+                    low_slope[scene] *= 0.5 if low[scene] > 0 else 1.0
+                if np.isnan(high[scene]):
+                    searching[scene] = False
+                elif not last:
+                    share = low_slope[scene] / (low_slope[scene] - high_slope[scene])
+                    fraction[scene] = low[scene] + (high[scene] - low[scene]) * min(max(share, 0.05), 0.95)
+            if not searching.any():
+                break
+        lost = active & (bad | ~np.isfinite(slope))
+        if lost.any():
+            self.inverted |= lost
+            self._move(np.where(lost, 0.0, fraction))
+        return residual
+
+    def _work(self) -> Array:
+        """Work of the equations on `step`, which is minus the step."""
+        self.total.zero_()
+        solids = self.solids
+        wp.launch(work, solids.node_count, [self.equations, self.step, self.equation, self.nodes, self.total], device=solids.device)
+        return self.total.numpy().copy()
+
+    def _move(self, fraction: Array) -> None:
+        solids = self.solids
+        self.fraction.assign(-fraction)
+        inputs = [self.start_u, self.start_p, self.step, self.fraction, self.equation, self.nodes, solids.displacement, solids.pressure]
+        wp.launch(move, solids.node_count, inputs, device=solids.device)
+
+
+def repeat_pairs(pattern: SymmetricPattern, count: int) -> PairPattern:
+    """The node pairs of `count` scenes that share a pattern; values and nodes of one after those of the other."""
+    one, pairs = pattern.pairs, PairPattern()
+    nodes, values = len(pattern.equation), len(pattern.indices)
+    shift = np.arange(count, dtype=np.int32)[:, None]
+    column, row = one.column.numpy(), one.row.numpy()
+    arrays = {
+        "local": np.tile(one.local.numpy(), (count, 1)),
+        "count": np.tile(one.count.numpy(), count),
+        "base": (one.base.numpy() + shift * values).ravel(),
+        "width": np.tile(one.width.numpy(), count),
+        "row": np.append((row[:-1] + shift * len(column)).ravel(), count * len(column)),
+        "column": (column + shift * nodes).ravel(),
+        "offset": np.tile(one.offset.numpy(), count),
+    }
+    for name, array in arrays.items():
+        setattr(pairs, name, wp.array(np.ascontiguousarray(array, np.int32), dtype=wp.int32, device=one.local.device))
+    return pairs
