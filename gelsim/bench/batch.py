@@ -1,8 +1,8 @@
 """Section `batch`: presses a second of many scenes solved side by side, against batch size and mesh, with the roofline beside it.
 
 The scenes are the hemisphere of section `speed` with moduli from 100 to 400 kPa; the first is its 200 kPa, whose error against the
-reference is shown. On CUDA where there is a device; else on the CPU, small. Making the problems (arrays of each scene; meshes are shared)
-is not in the seconds but beside them. Each batch runs twice: for the total, and with a wait after each stage for the shares.
+reference is shown. On CUDA where there is a device; else on the CPU, small. Each batch runs twice: for the total, from meshes to results,
+and with a wait after each stage for the shares.
 
 Roofline: bytes that the chosen algorithm cannot avoid (matrix and factor written once and read, element data and matrix at each assembly,
 element data at each residual) over the measured bandwidth of a copy; what the factorisation computes is said in GFLOP/s.
@@ -12,12 +12,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from functools import cache, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
 
-from gelsim import materials
 from gelsim.bench.accuracy import press_errors
 from gelsim.bench.presses import hemisphere
 from gelsim.bench.section import Case, Options, Row, Section
@@ -25,7 +23,7 @@ from gelsim.errors import SolveStatus
 from gelsim.scene_file import build_scene
 
 _ROWS = {"nu": 0.499, "object_modulus_kPa": 200.0}
-_STAGES = ("residual", "tangent", "factorise", "solve", "pattern", "march")
+_STAGES = ("residual", "tangent", "factorise", "solve", "pattern", "march", "prepare")
 
 
 def _cases(options: Options) -> Iterator[Case]:
@@ -47,29 +45,23 @@ def _cases(options: Options) -> Iterator[Case]:
 
 
 def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
-    from gelsim.fem.batch import Costs, run_batch
-    from gelsim.fem.problem import PressProblem
+    from gelsim.fem import solve_batch
+    from gelsim.fem.batch import Costs, copy_bandwidth
     from gelsim.pipeline import bodies
 
     moduli = [200.0, *np.geomspace(100.0, 400.0, batch - 1)] if batch > 1 else [200.0]
     scenes = [build_scene(hemisphere(modulus, 0.499, symmetry=symmetry) | {"fidelity": fidelity}) for modulus in moduli]
 
     shared = bodies(scenes[0])
-
-    def problems() -> list[Any]:
-        return [PressProblem(scene, *shared, materials.gel_material(scene), materials.object_material(scene), device) for scene in scenes]
-
-    run_batch(problems()[:2])  # kernels are compiled and loaded
-    start = time.perf_counter()
-    prepared = problems()
-    middle = time.perf_counter()
-    presses = run_batch(prepared)
-    seconds = time.perf_counter() - middle
-    del prepared
+    prepared = [(scene, *shared) for scene in scenes]
+    solve_batch(prepared[:2], device=device)  # kernels are compiled and loaded
     costs = Costs()
-    run_batch(problems(), costs=costs)
+    start = time.perf_counter()
+    presses = solve_batch(prepared, device=device)
+    seconds = time.perf_counter() - start
+    solve_batch(prepared, device=device, costs=costs)
     failed = [press for press in presses if press.status is not SolveStatus.CONVERGED]
-    bandwidth = _bandwidth(device)
+    bandwidth = copy_bandwidth(device)
     tens = {name: costs.calls.get(name, 0) * batch for name in ("residual", "tangent")}
     systems = costs.systems
     moved = 8.0 * systems["factorise"] * (costs.matrix_entries + costs.factor_entries) + 16.0 * systems["solve"] * costs.factor_entries
@@ -82,7 +74,6 @@ def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
         "batch": batch,
         "unknowns": costs.unknowns,
         "seconds": round(seconds, 3),
-        "prepare_seconds": round(middle - start, 3),
         "presses_per_second": round(batch / seconds, 2),
         "newton_iterations": round(float(np.mean([press.newton_iterations.sum() for press in presses])), 1),
         "factorisations": round(systems["factorise"] / batch, 1),
@@ -96,23 +87,6 @@ def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
     return row | press_errors(presses[0], name="hemisphere_force.csv", wanted=_ROWS)
 
 
-@cache
-def _bandwidth(device: str) -> float:
-    """Bytes a second of a large copy, read and written."""
-    import warp as wp
-
-    count = 1 << (27 if device.startswith("cuda") else 23)
-    a, b = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
-    best = np.inf
-    for _ in range(5):
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        wp.copy(a, b)
-        wp.synchronize_device(device)
-        best = min(best, time.perf_counter() - start)
-    return 16.0 * count / best
-
-
 SECTION = Section(
     title="Batches",
     columns=(
@@ -120,7 +94,7 @@ SECTION = Section(
         ("force error, largest [%]", "force_error_percent"), ("Newton iterations a press", "newton_iterations"),
         ("factorisations", "factorisations"), ("factorise [ms]", "factorise_ms"), ("solve", "solve_ms"), ("residual", "residual_ms"),
         ("tangent", "tangent_ms"), ("pattern", "pattern_ms"), ("march", "march_ms"), ("roofline [ms]", "roofline_ms"),
-        ("share reached", "roofline_share"), ("factor GFLOP/s", "factor_gflops"), ("prepare [s]", "prepare_seconds"),
+        ("share reached", "roofline_share"), ("factor GFLOP/s", "factor_gflops"), ("prepare [ms]", "prepare_ms"),
     ),
     cases=_cases,
 )  # fmt: skip

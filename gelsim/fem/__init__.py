@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.materials import ElasticMaterial
 from gelsim.results import Deformation
 from gelsim.scene import Scene
+
+if TYPE_CHECKING:
+    from gelsim.fem.batch import Costs
 
 
 def solve_press(
@@ -57,7 +62,7 @@ def batch_device(device: str) -> str:
 
 
 def solve_batch(
-    bodies: Sequence[tuple], *, device: str, progress: Callable[[int, int], None] | None = None, costs: object | None = None
+    bodies: Sequence[tuple], *, device: str, progress: Callable[[int, int], None] | None = None, costs: Costs | None = None
 ) -> list[Deformation]:
     """Solves presses with the same meshes side by side.
 
@@ -74,9 +79,11 @@ def solve_batch(
     from gelsim.fem.problem import PressProblem
     from gelsim.materials import gel_material, object_materials
 
-    problems = []
+    problems, start = [], time.perf_counter()
     for scene, gel, body, placement in bodies:
         of_object = list(object_materials(scene).values())
         first = of_object[0] if of_object else None
         problems.append(PressProblem(scene, gel, body, placement, gel_material(scene), first, device, part_materials=of_object[1:]))
+    if costs is not None:
+        costs.seconds["prepare"] = time.perf_counter() - start
     return run_batch(problems, progress=progress, costs=costs)

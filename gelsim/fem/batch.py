@@ -66,6 +66,20 @@ class Costs:
     """What an assembly reads of one scene's elements."""
 
 
+def copy_bandwidth(device: str) -> float:
+    """Bytes a second of a large copy on a device, read and written: what a computation bound by memory can hope for."""
+    count = 1 << (27 if wp.get_device(device).is_cuda else 23)
+    a, b = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
+    best = np.inf
+    for _ in range(5):
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        wp.copy(a, b)
+        wp.synchronize_device(device)
+        best = min(best, time.perf_counter() - start)
+    return 16.0 * count / best
+
+
 def run_batch(
     problems: Sequence[PressProblem], *, progress: Callable[[int, int], None] | None = None, costs: Costs | None = None
 ) -> list[Deformation]:
@@ -99,7 +113,7 @@ class _Residual:
 class _Batch:
     """The scenes' common arrays, and where each scene's Newton stands."""
 
-    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None = None) -> None:
+    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None) -> None:
         self.costs = costs
         first = problems[0]
         for problem in problems:
