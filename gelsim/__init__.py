@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gelsim.errors import GelsimError, SceneError, SolveError
-    from gelsim.pipeline import press, render, simulate
-    from gelsim.results import Deformation, Frame, Membrane
+    from gelsim.pipeline import press, press_sensitivity, render, simulate
+    from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
     from gelsim.scene import Scene
     from gelsim.scene_file import load_scene
 
@@ -24,11 +24,13 @@ _HOMES = {
     "Frame": "gelsim.results",
     "GelsimError": "gelsim.errors",
     "Membrane": "gelsim.results",
+    "PressSensitivity": "gelsim.results",
     "Scene": "gelsim.scene",
     "SceneError": "gelsim.errors",
     "SolveError": "gelsim.errors",
     "load_scene": "gelsim.scene_file",
     "press": "gelsim.pipeline",
+    "press_sensitivity": "gelsim.pipeline",
     "render": "gelsim.pipeline",
     "simulate": "gelsim.pipeline",
 }
@@ -38,11 +40,13 @@ __all__ = [
     "Frame",
     "GelsimError",
     "Membrane",
+    "PressSensitivity",
     "Scene",
     "SceneError",
     "SolveError",
     "load_scene",
     "press",
+    "press_sensitivity",
     "render",
     "simulate",
 ]

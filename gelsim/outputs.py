@@ -176,14 +176,14 @@ def read_probe_points(path: Path) -> NDArray[np.float64]:
     return np.array(points) * MM
 
 
-def check_probe_points(points: NDArray[np.float64], scene: Scene) -> None:
-    """Raises SceneError for a point that is not on the gel."""
+def check_probe_points(points: NDArray[np.float64], scene: Scene, name: str = "--probe") -> None:
+    """Raises SceneError for a point that is not on the gel; `name` is where the points come from."""
     half = 0.5 * np.array(scene.gel.size_mm) * MM
     outside = np.flatnonzero((np.abs(points) > half).any(axis=1))
     if len(outside):
         x, y = points[outside[0]] / MM
         raise SceneError(
-            f"--probe: point {outside[0] + 1} at x = {x:g} mm, y = {y:g} mm is off the gel: "
+            f"{name}: point {outside[0] + 1} at x = {x:g} mm, y = {y:g} mm is off the gel: "
             f"it ends at ±{half[0] / MM:g}, ±{half[1] / MM:g} mm"
         )
 
@@ -191,8 +191,7 @@ def check_probe_points(points: NDArray[np.float64], scene: Scene) -> None:
 def sample_surface(motion: SurfaceMotion, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rest positions and displacements of a surface at rest points (x, y), by the shape functions of its six-node faces.
 
-    The face that holds a point is found from its corners; its place in the face by Newton's method on the quadratic map, so that mid-side
-    nodes that are off the middle count. Exact at nodes, and for displacements that are quadratic in a face.
+    Exact at nodes, and for displacements that are quadratic in a face.
 
     Args:
         motion: A surface that is a graph over x, y at rest, such as the gel's outer face.
@@ -200,11 +199,27 @@ def sample_surface(motion: SurfaceMotion, points: NDArray[np.float64]) -> tuple[
     Returns:
         Rest positions (P, 3) [m] and displacements (N, P, 3) [m].
     """
-    corners = motion.rest[motion.faces6[:, :3], :2]
+    nodes, value = surface_shares(motion.rest, motion.faces6, points)
+    rest = np.einsum("pk,pkc->pc", value, motion.rest[nodes])
+    return rest, np.einsum("pk,npkc->npc", value, motion.displacement[:, nodes])
+
+
+def surface_shares(
+    rest: NDArray[np.float64], faces6: NDArray[np.int32], points: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The nodes (P, 6) of the faces that hold some rest points (P, 2) [m], and their shares (P, 6) in what a field is there.
+
+    The face that holds a point is found from its corners; its place in the face by Newton's method on the quadratic map, so that mid-side
+    nodes that are off the middle count.
+
+    Args:
+        rest: (G, 3) [m], and faces6 (F, 6), of a surface that is a graph over x, y.
+    """
+    corners = rest[faces6[:, :3], :2]
     edge_s, edge_t = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     determinant = edge_s[:, 0] * edge_t[:, 1] - edge_s[:, 1] * edge_t[:, 0]
     usable = np.abs(determinant) > 1e-9 * np.abs(determinant).max()
-    faces = motion.faces6[usable]
+    faces = faces6[usable]
     corners, edge_s, edge_t, determinant = corners[usable], edge_s[usable], edge_t[usable], determinant[usable]
     chosen = np.empty(len(points), np.int64)
     place = np.empty((len(points), 2))
@@ -215,15 +230,13 @@ def sample_surface(motion: SurfaceMotion, points: NDArray[np.float64]) -> tuple[
         chosen[i] = np.argmax(np.minimum(np.minimum(s, t), 1.0 - s - t))
         place[i] = s[chosen[i]], t[chosen[i]]
     nodes = faces[chosen]
-    rest_xy = motion.rest[nodes, :2]
+    rest_xy = rest[nodes, :2]
     # The map differs from its straight part by the mid-side nodes' small shifts: Newton is done after two or three rounds; six are free.
     for _ in range(6):
         value, slope = _face_shape(place)
         residual = np.einsum("pk,pkc->pc", value, rest_xy) - points
         place -= np.linalg.solve(np.einsum("pkd,pkc->pcd", slope, rest_xy), residual[..., None])[..., 0]
-    value, _ = _face_shape(place)
-    rest = np.einsum("pk,pkc->pc", value, motion.rest[nodes])
-    return rest, np.einsum("pk,npkc->npc", value, motion.displacement[:, nodes])
+    return nodes, _face_shape(place)[0]
 
 
 def _face_shape(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -19,10 +19,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from gelsim import materials, outputs
 from gelsim.errors import SceneError, SolveError, SolveStatus
 from gelsim.geometry import QuadraticSurface, TetMesh
-from gelsim.results import Deformation, Frame, Membrane
+from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
 from gelsim.scene import Scene
 from gelsim.scene_file import load_scene, scene_table
 from gelsim.units import MM
@@ -128,6 +130,30 @@ def bodies(scene: Scene) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any
     from gelsim import shapes
 
     return _bodies(scene, shapes.press_symmetry(scene), Record())
+
+
+def press_sensitivity(scene: Scene, points_mm: Sequence[tuple[float, float]] = ()) -> PressSensitivity:
+    """Presses, and says how force and surface answer to small changes of the moduli and of the approach, at every recorded state.
+
+    Each derivative is that of a converged state, by its adjoint (`gelsim.fem.sensitivity`): one factorisation a state, and some ten
+    back-substitutions for the force and for each point.
+
+    Args:
+        scene: Without friction (contact.friction_coefficient = 0) and viscosity.
+        points_mm: Rest points (x, y) of the gel's outer surface whose normal displacement is differentiated.
+    Raises:
+        SceneError: The scene has friction or viscosity, or a point is not on the gel. MeshingError, SolveError: as of `press`.
+    """
+    from gelsim.fem import differentiate_press
+
+    points = np.array(points_mm, float).reshape(-1, 2) * MM
+    outputs.check_probe_points(points, scene, "points_mm")
+    gel, body, placement = bodies(scene)
+    for axis in gel.symmetry:  # a mirrored point moves up and down as its image does
+        points[:, "xy".index(axis)] = np.abs(points[:, "xy".index(axis)])
+    surface = gel.surface("coated")
+    nodes, shares = outputs.surface_shares(surface.nodes, surface.faces, points)
+    return differentiate_press(scene, gel, body, placement, nodes=np.unique(gel.groups["coated"])[nodes], shares=shares)
 
 
 def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64, progress: Progress | None = None) -> list[Deformation]:

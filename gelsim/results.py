@@ -56,6 +56,24 @@ class Deformation:
 
 
 @dataclass(frozen=True, eq=False)
+class PressSensitivity:
+    """Derivatives of a press of N recorded states, at states whose contact pressures have come to a standstill."""
+
+    parameters: tuple[str, ...]
+    """What it was differentiated by, P names with their units: the moduli, and the approach of each state."""
+    approach: NDArray[np.float64]
+    """[m], shape (N,)."""
+    force: NDArray[np.float64]
+    """Normal force of the object on the gel, positive when it presses [N], shape (N,)."""
+    force_gradient: NDArray[np.float64]
+    """[N per unit of the parameter], shape (N, P)."""
+    height: NDArray[np.float64]
+    """Normal displacement of the gel's outer surface at the points asked for [m], shape (N, Q)."""
+    height_gradient: NDArray[np.float64]
+    """[m per unit of the parameter], shape (N, Q, P)."""
+
+
+@dataclass(frozen=True, eq=False)
 class Membrane:
     """The coated surface at one instant, ready to be drawn."""
 

@@ -1,4 +1,5 @@
-"""Contact finite elements: gel and object, solved together. `solve_press` and `solve_batch` are the doors; the rest is behind them."""
+"""Contact finite elements: gel and object, solved together. `solve_press`, `solve_batch` and `differentiate_press` are the doors; the rest
+is behind them."""
 
 from __future__ import annotations
 
@@ -6,9 +7,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.materials import ElasticMaterial
-from gelsim.results import Deformation
+from gelsim.results import Deformation, PressSensitivity
 from gelsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -87,3 +91,33 @@ def solve_batch(
     if costs is not None:
         costs.seconds["prepare"] = time.perf_counter() - start
     return run_batch(problems, progress=progress, costs=costs)
+
+
+def differentiate_press(
+    scene: Scene,
+    gel: TetMesh,
+    body: TetMesh | QuadraticSurface,
+    placement: tuple,
+    *,
+    nodes: NDArray[np.integer],
+    shares: NDArray[np.float64],
+) -> PressSensitivity:
+    """Solves a press on the CPU, and differentiates force and surface heights at every recorded state (`sensitivity.py`).
+
+    Args:
+        gel, body, placement: As of `solve_press`.
+        nodes: The gel's nodes (Q, K) whose heights are mixed by `shares` (Q, K).
+    Raises:
+        SceneError: The scene has friction or viscosity. SolveError: the press failed, or a state could not be refined.
+    """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from gelsim.fem.problem import PressProblem
+    from gelsim.fem.sensitivity import press_sensitivity
+    from gelsim.materials import gel_material, object_materials
+
+    of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
+    first = of_object[0] if of_object else None
+    problem = PressProblem(scene, gel, body, placement, of_gel, first, "cpu", part_materials=of_object[1:])
+    return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))

@@ -33,7 +33,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from gelsim.fem.assembly import join_arrays
 from gelsim.fem.contact_kernels import (
@@ -245,22 +245,28 @@ class SurfaceContact:
         slope = k * np.clip(s / law.smoothing, 0.0, 1.0)
         direction = -traction[slipping] / size[slipping, None]
         normal = self.normal.numpy()[slipping]
-        gel = self.gel_faces[slipping // self.points]
-        shape = self.shape_values[slipping % self.points]
-
-        def rows(vector: Array, object_face: NDArray[np.int32], xi: Array) -> sp.csr_matrix:
-            nodes = np.concatenate([gel, self.object_faces[object_face]], axis=1)
-            weights = np.concatenate([shape, -tri6_shape(np.column_stack([1 - xi.sum(1), xi]))], axis=1)
-            columns = equation[nodes, :3]
-            values = weights[:, :, None] * vector[:, None, :]
-            free = columns >= 0
-            index = np.broadcast_to(np.arange(len(slipping))[:, None, None], columns.shape)
-            return sp.csr_matrix((values[free], (index[free], columns[free])), shape=(len(slipping), unknowns))
-
-        along = rows(direction, self.anchor_face.numpy()[slipping], self.anchor_xi.numpy()[slipping])
+        places = self.anchor_face.numpy()[slipping], self.anchor_xi.numpy()[slipping]
+        along = self._relative_motion(slipping, direction, *places, equation, unknowns)
         weight = self.rest_weight[slipping] * law.friction * slope
-        closing = rows(-normal * weight[:, None], face, self.xi.numpy()[slipping])
+        closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.xi.numpy()[slipping], equation, unknowns)
         return along, closing
+
+    def gap_gradient(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
+        """∂g of paired points with respect to the unknowns, (P, unknowns): the foot lies along n, so its place does not count."""
+        face, xi, normal = self.face.numpy()[points], self.xi.numpy()[points], self.normal.numpy()[points]
+        return self._relative_motion(points, normal, face, xi, equation, unknowns)
+
+    def _relative_motion(self, points: NDArray[np.integer], vector: Array, face: NDArray[np.int32], xi: Array,
+                         equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:  # fmt: skip
+        """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place ξ on an object's face)."""
+        nodes = np.concatenate([self.gel_faces[points // self.points], self.object_faces[face]], axis=1)
+        there = tri6_shape(np.column_stack([1 - xi.sum(1), xi]))
+        weights = np.concatenate([self.shape_values[points % self.points], -there], axis=1)
+        columns = equation[nodes, :3]
+        values = weights[:, :, None] * vector[:, None, :]
+        free = columns >= 0
+        index = np.broadcast_to(np.arange(len(points))[:, None, None], columns.shape)
+        return sp.csr_matrix((values[free], (index[free], columns[free])), shape=(len(points), unknowns))
 
     def slip(self, x: wp.array) -> Array:
         """Tangential slip [mm] of every point since the load step began, against the place on the object that it touched then, (P, 3).
@@ -301,6 +307,14 @@ class SurfaceContact:
             total = np.bincount(self._corner.ravel(), moment[..., c].ravel(), len(self.vertices))
             at_vertices[free, c] = projection.solve(total[free])
         self.set_multipliers(at_vertices)
+
+    def projection(self, points: NDArray[np.integer]) -> tuple[sp.csr_matrix, SuperLU]:
+        """What `augment` projects with: the vertices' linear functions at some points (P, V), and the factor of their mass matrix."""
+        corners = self._corner[points // self.points]
+        values = self._bary[points % self.points]
+        rows = np.repeat(np.arange(len(points)), 3)
+        shape = sp.csr_matrix((values.ravel(), (rows, corners.ravel())), shape=(len(points), len(self.vertices)))
+        return shape, self._projections[0][1]
 
     def save(self) -> tuple[Array, Array, Array]:
         """Friction history and multipliers, to return to when a step is halved."""

@@ -87,8 +87,8 @@ class Newton:
             equations, float(np.abs(unbalanced).max() / scale), float(np.abs(volume / solids.vertex_volume).max()), min_jacobian
         )
 
-    def _matrix(self, geometric: bool) -> Array:
-        """The tangent's values; extends the pattern where contact has moved beyond it."""
+    def tangent(self, geometric: bool) -> Array:
+        """The tangent's values at the last `residual`; extends the pattern where contact has moved beyond it."""
         solids = self.solids
         for _ in range(2):
             if self.pattern is not None:
@@ -164,7 +164,7 @@ class Newton:
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
             if not chord:
-                self.system.factorise(self._matrix(near))
+                self.system.factorise(self.tangent(near))
             before = size
             coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
             step = self.system.solve(-residual.equations, coupling)
