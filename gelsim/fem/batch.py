@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids
-from gelsim.fem.batch_kernels import balance, least, move, positions, work
+from gelsim.fem.batch_kernels import LANES, balance, largest, move, positions, work
 from gelsim.fem.contact import FROZEN, OVERHANG, SurfaceContact
 from gelsim.fem.linear import BatchedSystem, single_threaded_blas
 from gelsim.fem.newton import (
@@ -138,8 +138,9 @@ class _Batch:
         self.start_p, self.volume = (wp.zeros(total, dtype=wp.float64, device=device) for _ in range(2))
         length = self.count * self.unknowns
         self.equations, self.step = (wp.zeros(length, dtype=wp.float64, device=device) for _ in range(2))
-        self.fraction, self.smallest, self.total = (wp.zeros(self.count, dtype=wp.float64, device=device) for _ in range(3))
-        self.sizes = wp.zeros((self.count, 5), dtype=wp.float64, device=device)
+        self.fraction = wp.zeros(self.count, dtype=wp.float64, device=device)
+        self.total = wp.zeros(self.count * LANES, dtype=wp.float64, device=device)
+        self.lane_sizes, self.sizes = (wp.zeros((k, 6), dtype=wp.float64, device=device) for k in (self.count * LANES, self.count))
         self._graphs: dict[str, object] = {}
 
         # Newton's state of every scene
@@ -210,23 +211,22 @@ class _Batch:
         """Contact and equations of all scenes at their present states."""
         with self._stage("residual"):
             self._replay("residual", self._residual)
-        unbalanced, external, internal, volume, broken = self.sizes.numpy().T
+            unbalanced, external, internal, volume, turned, broken = self.sizes.numpy().copy().T
         scale = np.maximum(np.maximum(external, internal * 1e-3), 1e-9)
-        return _Residual(unbalanced / scale, volume.copy(), self.smallest.numpy().copy(), broken == 0.0)
+        return _Residual(unbalanced / scale, volume, -turned, broken == 0.0)
 
     def _residual(self) -> None:
         solids, device = self.solids, self.solids.device
         wp.launch(positions, solids.node_count, [solids.rest_positions, solids.displacement, self.x], device=device)
-        for array in (self.internal, self.external, self.volume, self.sizes):
+        for array in (self.internal, self.external, self.volume):
             array.zero_()
-        self.smallest.fill_(1e30)
         self.contact.find(self.x, REACH_MM)
         self.contact.add_force(self.x, self.external)
         solids.add_internal_force(self.internal, self.volume)
-        inputs = [self.internal, self.external, self.volume, self.vertex_volume, self.equation, self.nodes, self.equations, self.sizes]
-        wp.launch(balance, solids.node_count, inputs, device=device)
-        elements = len(solids.tets) // self.count
-        wp.launch(least, len(solids.tets), [solids.element_jacobian, elements, self.smallest], device=device)
+        forces = [self.internal, self.external, self.volume, self.vertex_volume, self.equation, self.nodes]
+        cells = [solids.element_jacobian, len(solids.tets) // self.count, LANES]
+        wp.launch(balance, self.count * LANES, [*forces, *cells, self.equations, self.lane_sizes], device=device)
+        wp.launch(largest, self.sizes.shape, [LANES, self.lane_sizes, self.sizes], device=device)
 
     def _replay(self, name: str, launches: Callable[[], None]) -> None:
         """Runs launches; on CUDA they are recorded once as a graph."""
@@ -354,10 +354,9 @@ class _Batch:
 
     def _work(self) -> Array:
         """Work of the equations on `step`, which is minus the step."""
-        self.total.zero_()
-        solids = self.solids
-        wp.launch(work, solids.node_count, [self.equations, self.step, self.equation, self.nodes, self.total], device=solids.device)
-        return self.total.numpy().copy()
+        inputs = [self.equations, self.step, self.equation, self.nodes, LANES, self.total]
+        wp.launch(work, self.count * LANES, inputs, device=self.solids.device)
+        return self.total.numpy().reshape(self.count, LANES).sum(axis=1)
 
     def _move(self, fraction: Array) -> None:
         solids = self.solids

@@ -33,47 +33,81 @@ def positions(rest: wp.array(dtype=wp.vec3d), displacement: wp.array(dtype=wp.ve
     x[i] = rest[i] + displacement[i]
 
 
+LANES = 128
+"""Threads that share a scene's sums and maxima: each goes through every so many nodes, the host's side takes the lanes together."""
+
+
 @wp.kernel(enable_backward=False)
 def balance(
     internal: wp.array(dtype=wp.vec3d), external: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64),
     vertex_volume: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32), nodes: wp.int32,
+    jacobian: wp.array(dtype=wp.float64), elements: wp.int32, lanes: wp.int32,
     residual: wp.array(dtype=wp.float64), sizes: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """The equations, and of each scene the largest unbalanced, contact and internal force and the largest volume error."""
-    i = wp.tid()
-    scene = i // nodes
-    for c in range(3):
-        force = internal[i][c] + external[i][c]
-        if equation[i, c] >= 0:
-            residual[equation[i, c]] = force
-            wp.atomic_max(sizes, scene, 0, wp.abs(force))
-            if not wp.isfinite(force):
-                sizes[scene, 4] = wp.float64(1.0)
-        wp.atomic_max(sizes, scene, 1, wp.abs(external[i][c]))
-        wp.atomic_max(sizes, scene, 2, wp.abs(internal[i][c]))
-    if equation[i, 3] >= 0:
-        residual[equation[i, 3]] = volume[i]
-        wp.atomic_max(sizes, scene, 3, wp.abs(volume[i] / vertex_volume[i]))
-        if not wp.isfinite(volume[i]):
-            sizes[scene, 4] = wp.float64(1.0)
+    """The equations; of each scene's lane the largest unbalanced, contact and internal force, volume error, -det F, and 1 where something
+    is not finite."""
+    lane = wp.tid()
+    scene = lane // lanes
+    unbalanced = wp.float64(0.0)
+    contact = wp.float64(0.0)
+    inside = wp.float64(0.0)
+    error = wp.float64(0.0)
+    broken = wp.float64(0.0)
+    turned = wp.float64(-1.0e30)
+    k = lane % lanes
+    while k < nodes:
+        i = scene * nodes + k
+        for c in range(3):
+            force = internal[i][c] + external[i][c]
+            if equation[i, c] >= 0:
+                residual[equation[i, c]] = force
+                unbalanced = wp.max(unbalanced, wp.abs(force))
+                if not wp.isfinite(force):
+                    broken = wp.float64(1.0)
+            contact = wp.max(contact, wp.abs(external[i][c]))
+            inside = wp.max(inside, wp.abs(internal[i][c]))
+        if equation[i, 3] >= 0:
+            residual[equation[i, 3]] = volume[i]
+            error = wp.max(error, wp.abs(volume[i] / vertex_volume[i]))
+            if not wp.isfinite(volume[i]):
+                broken = wp.float64(1.0)
+        k += lanes
+    e = lane % lanes
+    while e < elements:
+        turned = wp.max(turned, -jacobian[scene * elements + e])
+        e += lanes
+    sizes[lane, 0] = unbalanced
+    sizes[lane, 1] = contact
+    sizes[lane, 2] = inside
+    sizes[lane, 3] = error
+    sizes[lane, 4] = turned
+    sizes[lane, 5] = broken
 
 
 @wp.kernel(enable_backward=False)
-def least(jacobian: wp.array(dtype=wp.float64), elements: wp.int32, smallest: wp.array(dtype=wp.float64)):
-    i = wp.tid()
-    wp.atomic_min(smallest, i // elements, jacobian[i])
+def largest(lanes: wp.int32, sizes: wp.array2d(dtype=wp.float64), of_scene: wp.array2d(dtype=wp.float64)):
+    """The largest of a scene's lanes, column by column."""
+    scene, c = wp.tid()
+    most = sizes[scene * lanes, c]
+    for lane in range(1, lanes):
+        most = wp.max(most, sizes[scene * lanes + lane, c])
+    of_scene[scene, c] = most
 
 
 @wp.kernel(enable_backward=False)
 def work(
     residual: wp.array(dtype=wp.float64), step: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32), nodes: wp.int32,
-    total: wp.array(dtype=wp.float64),
+    lanes: wp.int32, total: wp.array(dtype=wp.float64),
 ):  # fmt: skip
-    """R·step over the displacements of each scene; NaN where a step holds one."""
-    i = wp.tid()
+    """R·step over the displacements of each scene's lane; NaN where a step holds one."""
+    lane = wp.tid()
     sum = wp.float64(0.0)
-    for c in range(3):
-        e = equation[i, c]
-        if e >= 0:
-            sum += residual[e] * step[e]
-    wp.atomic_add(total, i // nodes, sum)
+    k = lane % lanes
+    while k < nodes:
+        i = (lane // lanes) * nodes + k
+        for c in range(3):
+            e = equation[i, c]
+            if e >= 0:
+                sum += residual[e] * step[e]
+        k += lanes
+    total[lane] = sum
