@@ -4,8 +4,8 @@ Every scene runs the same march as a press by itself (quasistatic.py), as a gene
 iteration of every scene that is at work, whatever its load step: contact, forces, matrices and steps of all scenes together, decisions
 (converged? chord step? how far along the step?) by vectors with an entry a scene. No scene waits for another, and one that is done leaves.
 
-Newton's rules are those of newton.py. Left out: the unsymmetric part of slipping friction (`slip_coupling`), so a scene that slips takes
-more iterations here; every scene keeps the tolerance of its own fidelity.
+Newton's rules are those of newton.py but for the steps: on a GPU a solve costs a thirtieth of a factorisation, so GMRES on the factors of
+an earlier iteration finds each step (krylov.py), roughly, and a scene gets new factors only when that takes too long.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids
 from gelsim.fem.batch_kernels import LANES, balance, largest, move, positions, work
 from gelsim.fem.contact import FROZEN, OVERHANG, SurfaceContact
+from gelsim.fem.krylov import BatchedGmres, multiply
 from gelsim.fem.linear import BatchedSystem, single_threaded_blas
 from gelsim.fem.newton import (
-    CHORD_BELOW,
-    CHORD_DROP,
     FREEZE_AFTER,
     GEOMETRIC_BELOW,
     LINE_SEARCH_DROP,
@@ -44,6 +43,10 @@ Mask = NDArray[np.bool_]
 
 MARGIN_MM = 0.6
 """Gap under which a pair of faces is given its place in the matrix: wider than for one press, as a new order costs all scenes."""
+FORCING = 0.05
+"""|R + K step|/|R| to which a step is solved; a scene whose factor does not bring it there in time gets a new one for its next step."""
+POOR = 0.5
+"""… above which the step is not taken but solved anew at once."""
 REACH_MM = 2.0
 """Bounds the search for contact."""
 
@@ -142,12 +145,15 @@ class _Batch:
         self.total = wp.zeros(self.count * LANES, dtype=wp.float64, device=device)
         self.lane_sizes, self.sizes = (wp.zeros((k, 6), dtype=wp.float64, device=device) for k in (self.count * LANES, self.count))
         self._graphs: dict[str, object] = {}
+        self.gmres = BatchedGmres(self.count, self.unknowns, str(device))
 
         # Newton's state of every scene
         self.goal, self.before = np.full(self.count, np.inf), np.full(self.count, np.inf)
         self.iteration, self.limit = np.zeros(self.count, int), np.zeros(self.count, int)
         self.factorisations = np.zeros(self.count, int)
         self.inverted = np.zeros(self.count, bool)
+        self.old = np.zeros(self.count, bool)
+        """Whose factor served GMRES badly the last time."""
 
     def run(self, progress: Callable[[int, int], None] | None) -> list[Deformation]:
         """Drives all marches to their ends."""
@@ -241,13 +247,13 @@ class _Batch:
         wp.capture_launch(self._graphs[name])
 
     def iterate(self, active: Mask, residual: _Residual) -> _Residual:
-        """One Newton iteration of the active scenes, as in newton.Newton.solve."""
-        size = residual.size
-        chord = self.system.factored & (size < CHORD_BELOW) & (size < CHORD_DROP * self.before)
-        self._factorise(active & ~chord, active, residual.imbalance < GEOMETRIC_BELOW)
-        self.before[active] = size[active]
-        with self._stage("solve", int(active.sum())):
-            self.system.solve(self.equations, self.step, active)  # the step is minus this
+        """One Newton iteration of the active scenes: steps by GMRES on the factors there are, by new ones where those are too old."""
+        self._assemble(residual.imbalance < GEOMETRIC_BELOW)
+        self._factorise(active & (self.old | ~self.system.factored))
+        poor = self._solve(active)
+        if poor.any():
+            self._factorise(poor)
+            self._solve(poor)
         freeze = self.iteration >= FREEZE_AFTER
         self.contact.overhang.assign(np.where(freeze, FROZEN, OVERHANG))
         after = self._line_search(active)
@@ -255,24 +261,41 @@ class _Batch:
         self.iteration[active] += 1
         return after
 
-    def _factorise(self, wanted: Mask, active: Mask, near: Mask) -> None:
-        """Factorises the wanted scenes' tangents; of all active ones where the pattern has to grow."""
-        if not wanted.any() and self.pattern is not None:
-            return
+    def _assemble(self, near: Mask) -> None:
+        """Tangents of all scenes; makes the pattern grow where it must, and then no factor is left."""
         self.contact.geometric.assign(near.astype(float))
         for _ in range(2):
             if self.pattern is not None:
                 with self._stage("tangent"):
                     self._replay("tangent", self._tangent)
-                if int(self.contact.missing.numpy()[0]) == 0:
-                    with self._stage("factorise", int(wanted.sum())):
-                        self.system.factorise(self.values, wanted)
-                    self.factorisations[wanted] += 1
+                    missing = int(self.contact.missing.numpy()[0])
+                if missing == 0:
                     return
             with self._stage("pattern"):
                 self._grow()
-            wanted = active.copy()
         raise AssertionError("the pattern made from the present contact does not hold it")
+
+    def _factorise(self, wanted: Mask) -> None:
+        if wanted.any():
+            with self._stage("factorise", int(wanted.sum())):
+                self.system.factorise(self.values, wanted)
+            self.factorisations[wanted] += 1
+            self.old[wanted] = False
+
+    def _solve(self, wanted: Mask) -> Mask:
+        """Steps of the wanted scenes; returns those whose factors were of no use."""
+        with self._stage("solve"):
+            used, left = self.gmres.solve(self._product, self.system.solve, self.equations, self.step, wanted, FORCING)
+        if self.costs is not None:
+            self.costs.systems["solve"] = self.costs.systems.get("solve", 0) + int(used.sum())
+        self.old |= wanted & ~(left <= FORCING)
+        return wanted & ~(left <= POOR)
+
+    def _product(self, v: wp.array, out: wp.array) -> None:
+        """The whole tangents' products with v, slipping friction's unsymmetric part included."""
+        out.zero_()
+        wp.launch(multiply, len(v), [self._start, self._column, self.values, self.unknowns, v, out], device=self.solids.device)
+        self.contact.add_slip_product(self.equation, v, out)
 
     def _grow(self) -> None:
         """Makes a pattern that holds the present contact of all scenes, and what may come."""
@@ -283,6 +306,8 @@ class _Batch:
         self.values = wp.zeros(self.count * len(self.pattern.indices), dtype=wp.float64, device=self.solids.device)
         self._graphs.pop("tangent", None)
         self.system.analyse(self.pattern.indptr, self.pattern.indices)
+        device = self.solids.device
+        self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))
         if self.costs is not None:
             self.costs.unknowns, self.costs.matrix_entries = self.unknowns, len(self.pattern.indices)
             self.costs.factor_entries, self.costs.factor_flops = self.system.factor_entries, self.system.factor_flops

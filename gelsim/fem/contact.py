@@ -44,6 +44,7 @@ from gelsim.fem.contact_kernels import (
     friction_force,
     friction_tangent,
     place_points,
+    slip_product,
     vec6d,
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
@@ -268,6 +269,12 @@ class SurfaceContact:
         index = np.broadcast_to(np.arange(len(points))[:, None, None], columns.shape)
         return sp.csr_matrix((values[free], (index[free], columns[free])), shape=(len(points), unknowns))
 
+    def add_slip_product(self, equation: wp.array, v: wp.array, out: wp.array) -> None:
+        """Adds the product of the matrix that `slip_coupling` gives as factors with v to `out`, where `geometric` stands."""
+        if self.frictional:
+            slipping = [self.pressure, self.traction, self.anchor_face, self.anchor_xi, self.friction, self.geometric]
+            self._launch(slip_product, *self._normal_inputs(), *slipping, equation, v, out)
+
     def slip(self, x: wp.array) -> Array:
         """Tangential slip [mm] of every point since the load step began, against the place on the object that it touched then, (P, 3).
 
@@ -300,10 +307,13 @@ class SurfaceContact:
 
     def augment(self) -> None:
         """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the gel's faces."""
-        tractions = np.concatenate([self.pressure.numpy()[:, None], self.traction.numpy()], axis=1)
-        moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, 4), self._bary)
+        tractions = self.pressure.numpy()[:, None]
+        if self.frictional:
+            tractions = np.concatenate([tractions, self.traction.numpy()], axis=1)
+        count = tractions.shape[1]
+        moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, count), self._bary)
         at_vertices = np.zeros((len(self.vertices), 4))
-        for c, (free, projection) in enumerate(self._projections):
+        for c, (free, projection) in enumerate(self._projections[:count]):
             total = np.bincount(self._corner.ravel(), moment[..., c].ravel(), len(self.vertices))
             at_vertices[free, c] = projection.solve(total[free])
         self.set_multipliers(at_vertices)

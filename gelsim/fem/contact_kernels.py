@@ -386,3 +386,55 @@ def friction_tangent(
                 nb = base + master[anchor_face[i], b - 6]
                 cb = -s[b - 6]
             add_stencil_block(pattern, values, na, nb, (ca * cb) * stiffness, missing)
+
+
+@wp.func
+def free_vector(v: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32), node: wp.int32) -> wp.vec3d:
+    """A node's part of a vector of unknowns, 0 where it is held."""
+    found = wp.vec3d()
+    for c in range(3):
+        if equation[node, c] >= 0:
+            found[c] = v[equation[node, c]]
+    return found
+
+
+@wp.func
+def add_free(v: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32), node: wp.int32, part: wp.vec3d):
+    for c in range(3):
+        if equation[node, c] >= 0:
+            wp.atomic_add(v, equation[node, c], part[c])
+
+
+@wp.kernel(enable_backward=False)
+def slip_product(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, weight: wp.array(dtype=wp.float64),
+    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
+    pressure: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d), anchor_face: wp.array(dtype=wp.int32),
+    anchor_xi: wp.array(dtype=wp.vec2d), friction: wp.array(dtype=wp.float64), geometric: wp.array(dtype=wp.float64),
+    equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Adds to `out` the product with v of what `SurfaceContact.slip_coupling` gives as factors, in scenes whose `geometric` is set."""
+    i = wp.tid()
+    scene = scene_of(layout, i)
+    base = scene * layout.nodes
+    mu = friction[scene]
+    size = wp.length(traction[i])
+    if geometric[scene] == wp.float64(0.0) or mu <= wp.float64(0.0) or pressure[i] <= wp.float64(0.0):
+        return
+    if size <= wp.float64(0.0) or size < mu * pressure[i] * (wp.float64(1.0) - wp.float64(1.0e-9)):
+        return
+    k = stiffness[i // layout.points]
+    s = multiplier[i] / k - gap[i]
+    m = shape[i % layout.points]
+    gel = gel_face(layout, i)
+    near = tri6(xi[i])
+    closing = wp.vec3d()
+    for a in range(6):
+        closing += m[a] * free_vector(v, equation, base + slave[gel, a])
+        closing -= near[a] * free_vector(v, equation, base + master[face[i], a])
+    pull = (mu * weight[i] * penalty_slope(s, k, eps) * wp.dot(normal[i], closing) / size) * traction[i]
+    held = tri6(anchor_xi[i])
+    for a in range(6):
+        add_free(out, equation, base + slave[gel, a], m[a] * pull)
+        add_free(out, equation, base + master[anchor_face[i], a], -held[a] * pull)
