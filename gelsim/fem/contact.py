@@ -104,6 +104,7 @@ class SurfaceContact:
         self.weight = array(self.rest_weight, wp.float64)
         self.corners = array(_SUB_CORNERS, wp.vec2d)
         self.scenes, self.nodes = 1, len(rest)
+        self._tree: wp.Mesh | None = None  # grown at first use, where the bodies are: refitting keeps its order
         self.face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.xi = wp.zeros(count, dtype=wp.vec2d, device=device)
         self.normal = wp.zeros(count, dtype=wp.vec3d, device=device)
@@ -150,7 +151,8 @@ class SurfaceContact:
         """
         joint = copy.copy(contacts[0])
         joint.scenes = len(contacts)
-        joint.__dict__.pop("_search", None)
+        joint.__dict__.pop("_corners", None)
+        joint._tree = None
         for name in _STATE + _CONSTANTS:
             arrays = [getattr(contact, name) for contact in contacts]
             whole, length = join_arrays(arrays), len(arrays[0])
@@ -163,13 +165,13 @@ class SurfaceContact:
         return joint
 
     @cached_property
-    def _search(self) -> tuple[wp.Mesh, wp.array]:
-        """The object's triangles in a tree, those of all scenes in one, and the nodes of a scene that are their corners."""
+    def _corners(self) -> tuple[wp.array, wp.array, wp.array]:
+        """The object's triangles: nodes of a scene that are their corners, places of all scenes' corners, and who is whose."""
         used, local = np.unique(split_faces(self.object_faces), return_inverse=True)
         indices = local.ravel() + len(used) * np.arange(self.scenes)[:, None]
         points = wp.zeros(self.scenes * len(used), dtype=wp.vec3f, device=self.device)
-        triangles = wp.array(indices.ravel(), dtype=wp.int32, device=self.device)
-        return wp.Mesh(points=points, indices=triangles), wp.array(used, dtype=wp.int32, device=self.device)
+        used, indices = (wp.array(a.ravel(), dtype=wp.int32, device=self.device) for a in (used, indices))
+        return used, indices, points
 
     @cached_property
     def frictional(self) -> bool:
@@ -189,11 +191,14 @@ class SurfaceContact:
 
     def find(self, x: wp.array, reach: float) -> None:
         """`update` with the overhang that stands."""
-        mesh, used = self._search
-        wp.launch(place_points, len(mesh.points), [x, used, self.nodes, mesh.points], device=self.device)
-        mesh.refit()
+        used, triangles, points = self._corners
+        wp.launch(place_points, len(points), [x, used, self.nodes, points], device=self.device)
+        if self._tree is None:
+            self._tree = wp.Mesh(points=points, indices=triangles)
+        else:
+            self._tree.refit()
         pairing = [self.overhang, self.face, self.xi, self.normal, self.gap]
-        self._launch(closest_points, x, mesh.id, self.master, self.corners, reach, *pairing)
+        self._launch(closest_points, x, self._tree.id, self.master, self.corners, reach, *pairing)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""
