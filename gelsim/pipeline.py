@@ -8,6 +8,7 @@ as soon as it is whole, so a render that fails still leaves its press.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import platform
 import time
@@ -35,7 +36,7 @@ Progress = Callable[[str, int, int], None]
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild", "mkl", "trimesh")
 """Packages that decide a result."""
 
-MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity")
+MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity", "target_error", "target_membrane_um")
 """Parts of a scene that decide its press; `resume` needs them unchanged."""
 
 
@@ -77,6 +78,8 @@ def press(
         SolveError: Newton failed; carries the states solved before.
     """
     record = record or Record()
+    if scene.target_error is not None or scene.target_membrane_um is not None:
+        return _press_to_target(scene, device, progress, record, throw)
     with record.stage("import"):
         from gelsim import shapes
         from gelsim.fem import solve_press
@@ -104,6 +107,27 @@ def press(
         )
 
 
+def _press_to_target(scene: Scene, device: str, progress: Progress | None, record: Record, throw: bool) -> Deformation:
+    """`press` at the cheapest fidelity whose error estimate meets the scene's target; record.choices says which and why."""
+    from gelsim import fidelity
+
+    def solve(name: str) -> Deformation:
+        return press(_at(scene, name), device=device, progress=progress, record=record, throw=throw)
+
+    assert not isinstance(scene.target_error, str)
+    target = fidelity.Target(scene.target_error, scene.target_membrane_um)
+    chosen = fidelity.press_to_target(target, solve)
+    record.choices["fidelity"] = {"chosen": chosen.fidelity, "why": chosen.why, "tried": chosen.tried}
+    if not chosen.met:
+        record.warnings.append(f"the target was not met at fidelity {chosen.fidelity}: {chosen.why}")
+    return chosen.press
+
+
+def _at(scene: Scene, name: str) -> Scene:
+    """The scene at a fidelity, whatever its target."""
+    return scene.replace(fidelity=name, target_error=None, target_membrane_um=None)
+
+
 def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
     """Meshes of gel and object, of a rigid one its surface, and the object's placement at first touch."""
     with record.stage("import"):
@@ -129,6 +153,8 @@ def bodies(scene: Scene) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any
     """Meshes of gel and object, of a rigid one its surface, and the object's placement (rotation, translation [m]) at first touch."""
     from gelsim import shapes
 
+    if scene.target_error is not None or scene.target_membrane_um is not None:
+        raise SceneError("target_error, target_membrane_um: they choose the fidelity of a single press; here give fidelity instead")
     return _bodies(scene, shapes.press_symmetry(scene), Record())
 
 
@@ -332,7 +358,7 @@ def _earlier_press(scene: Scene, out: Path) -> Deformation | None:
     earlier = load_scene(out / "scene.toml")
     for name in MECHANICS:
         if getattr(earlier, name) != getattr(scene, name):
-            what = f"[{name}]" if name != "fidelity" else name
+            what = f"[{name}]" if dataclasses.is_dataclass(getattr(scene, name)) else name
             raise SceneError(f"--resume {out}: its press was made with another {what}; give --force to solve it anew, or another --out")
     deformation = outputs.read_press(out / "press.npz")
     return deformation if deformation.status is SolveStatus.CONVERGED else None

@@ -293,12 +293,18 @@ class Scene:
     render: Render = field(default_factory=Render)
     fidelity: str = "balanced"
     """"fast" | "balanced" | "reference": how fine the meshes and the load steps are."""
+    target_error: float | str | None = None
+    """Relative error of the force to stay below, 0.02 or "2%": the fidelity is chosen by it, and the one given is not used."""
+    target_membrane_um: float | None = None
+    """Error (root mean square) of the membrane to stay below, alone or beside target_error; chooses the fidelity likewise."""
     seed: int = 0
     """Of everything random: marker jitter, light sampling."""
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
             object.__setattr__(self, item.name, convert(getattr(self, item.name), field_types(Scene)[item.name], item.name))
+        if isinstance(self.target_error, str):
+            object.__setattr__(self, "target_error", _share(self.target_error, "target_error"))
         _check(self)
 
     def replace(self, **sections: object) -> Scene:
@@ -325,6 +331,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
 # Inclusive bounds of every number in a field, in the unit of its name. Only Shore readings have no row: their relations bound them.
 LIMITS: dict[str, tuple[float, float]] = {
     "seed": (0, 2**32 - 1),
+    "target_error": (1e-4, 0.5),
+    "target_membrane_um": (0.01, 1000),
     "gel.size_mm": (5, 100),
     "gel.thickness_mm": (0.5, 20),
     "gel.edge_thickness_mm": (0.05, 20),
@@ -463,6 +471,15 @@ def known_key(key: str, section: type, name: str) -> bool:
         full = f"{name}.{key}" if name else key
         raise SceneError(f"unknown key {full!r}{nearest(key, known) or '; known are ' + ', '.join(known)}")
     return True
+
+
+def _share(text: str, name: str) -> float:
+    """ "2%" or "0.02" as 0.02."""
+    number, percent = text.strip().removesuffix("%"), text.strip().endswith("%")
+    try:
+        return convert(float(number) * (0.01 if percent else 1.0), float, name)
+    except ValueError:
+        raise SceneError(f'{name} = {text!r}: expected a share, such as 0.02 or "2%"') from None
 
 
 def _default_hardness(section: Gel | Body, shore_00: float) -> None:

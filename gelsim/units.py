@@ -21,6 +21,7 @@ MESH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 _SUFFIXES = {
     "_mm_s": "mm/s",
     "_mm": "mm",
+    "_um": "µm",
     "_deg": "°",
     "_kpa": "kPa",
     "_n": "N",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.elements import tri6_gradient, triangle_quadrature
-from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, stress_jump
+from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, MEMBRANE_ERROR_PER_KINK, stress_jump, surface_kink
 from gelsim.fem.problem import KPA, MM, PressProblem
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
@@ -67,6 +67,7 @@ class Recorder:
         object_motion, _ = _whole(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
         # of the last state kept: after a failure the solids hold that one again
         jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
+        kink = surface_kink(gel.rest_positions, gel.groups["coated"], everything[-1])
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
             numbers[name] = numbers[name].astype(np.int32)
@@ -87,7 +88,7 @@ class Recorder:
                 "linear_solver": problem.linear_solver,
                 "factorisations": int(numbers["linear_iterations"].sum()),
                 "stress_jump": jump,
-                "error_estimate": {"force": FORCE_ERROR_PER_JUMP * jump},
+                "error_estimate": {"force": FORCE_ERROR_PER_JUMP * jump, "membrane_um": MEMBRANE_ERROR_PER_KINK * kink * 1e6},
             },
             **numbers,
         )

@@ -18,7 +18,7 @@ LAYERS = [
     {"solids", "sizing", "mesh_file"},
     {"shapes", "lightfield", "dataset", "metrics"},
     {"meshing", "fem", "membrane", "optics"},
-    {"outputs", "sheet"},
+    {"outputs", "sheet", "fidelity"},
     {"pipeline", "inspection", "doctor", "randomize"},
     {"generate", "study", "calibrate", "durometer", "bench"},
     {"flags"},
