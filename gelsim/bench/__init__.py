@@ -7,6 +7,7 @@ cases of any sections, one line of results.jsonl each as soon as it is known, so
 
 SECTIONS = {
     "accuracy": "gelsim.bench.accuracy",
+    "closed-forms": "gelsim.bench.closed_forms",
     "speed": "gelsim.bench.speed",
     "batch": "gelsim.bench.batch",
     "stability": "gelsim.bench.stability",

@@ -6,9 +6,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from gelsim import pipeline
+from gelsim import materials, meshing, pipeline, shapes
 from gelsim.bench.section import Case, Layer, Row
 from gelsim.errors import GelsimError, SolveStatus
+from gelsim.fem.problem import PressProblem
+from gelsim.fem.quasistatic import run_press
+from gelsim.geometry import QuadraticSurface
 from gelsim.results import Deformation
 from gelsim.scene_file import build_scene
 
@@ -66,3 +69,19 @@ def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -
         "force_n": [round(float(f), 6) for f in press.force[-1]],
     }
     return row | (further(press) if further else {})
+
+
+def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:
+    """A solved scene, and the problem in its last state: for what a `Deformation` does not tell. The meshes are those of the commands.
+
+    Raises:
+        GelsimError: The scene is none, or cannot be meshed.
+    """
+    made = build_scene(scene)
+    symmetry = shapes.press_symmetry(made)
+    gel_material, object_material = materials.gel_material(made), materials.object_material(made)
+    body = shapes.rigid_surface(made, symmetry) if object_material is None else meshing.mesh_object(made, symmetry)
+    surface = body if isinstance(body, QuadraticSurface) else body.surface("contact")
+    gel = meshing.mesh_gel(made, symmetry)
+    problem = PressProblem(made, gel, body, shapes.placement(made, surface), gel_material, object_material, "cpu")
+    return problem, run_press(problem, throw=False)

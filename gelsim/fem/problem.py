@@ -57,6 +57,8 @@ class PressProblem:
         self.object_nodes = np.arange(n, len(rest))
         fixed = np.zeros((len(rest), 3), bool)
         fixed[gel.groups["bonded"]] = True
+        if "sliding" in gel.groups:  # the middle of a specimen between two platens
+            fixed[gel.groups["sliding"], 2] = True
         for axis, column in (("x", 0), ("y", 1)):
             if axis in gel.symmetry:
                 fixed[:, column] |= np.abs(rest[:, column]) < 1e-9

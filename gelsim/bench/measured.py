@@ -1,0 +1,292 @@
+"""Sections `measured-ball` and `measured-silicones`: the mechanics against what others measured on real silicone, errors as they are.
+
+The data are not in the project. Their folder is given by --data or $GELSIM_DATA and has the layout of its publishers:
+
+    feats/measured_force_depth.csv            ball R = 7.5 mm on a sensor's gel, 20.75 x 25.25 x 4.0 mm (FEATS, MIT licence)
+    silicone_phantoms/NAME/*.csv              compression of cylinders 50 x 30 mm (Dawood et al., CC BY 4.0)
+    silicone_phantoms/hyperelastic_parameters.json
+
+The ball sticks, and one modulus is fitted: with a rigid ball, force is proportional to it. The cylinders stand between platens where they
+stick, slide with a friction coefficient, or slide freely (closed form); modulus, Yeoh's c₂/c₁ and the height lost before the platen is in
+full touch are fitted to strains of 5 to 40 % by least squares over the forces.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from gelsim.bench.half_space import solve
+from gelsim.bench.section import Case, Layer, Options, Row, Section
+from gelsim.bench.structured import Array, quarter_disc
+from gelsim.errors import SolveError, SolveStatus
+from gelsim.fem.problem import PressProblem
+from gelsim.fem.quasistatic import run_press
+from gelsim.geometry import TetMesh, quadratic_faces
+from gelsim.materials import ElasticMaterial
+from gelsim.scene import Body, Contact, Gel, Press, Scene
+from gelsim.units import MM
+
+# ---------------------------------------------------------------------------------------------------------------- ball on a sensor's gel
+BALL = Path("feats") / "measured_force_depth.csv"
+_TRIED_KPA = 400.0
+
+
+def _ball_cases(options: Options) -> Iterator[Case]:
+    path = None if options.data is None else options.data / BALL
+    if path is None or not path.is_file():
+        return
+    for depth, _ in _ball_data(path):
+        yield Case(f"{depth:g} mm", partial(_ball_row, path, depth))
+
+
+def _ball_data(path: Path) -> list[tuple[float, float]]:
+    with path.open() as file:
+        return [(float(row["indentation_mm"]), float(row["normal_force_N"])) for row in csv.DictReader(file)]
+
+
+@lru_cache
+def _ball_forces(depths: tuple[float, ...]) -> dict[float, float]:
+    """Forces [N] at a modulus of _TRIED_KPA."""
+    spacing = depths[0]
+    scene: Layer = {
+        "gel": {"profile": "flat", "size_mm": [20.75, 25.25], "thickness_mm": 4.0, "youngs_modulus_kpa": _TRIED_KPA},
+        "object": {"shape": "hemisphere", "radius_mm": 7.5, "height_mm": 15.0, "rigid": True},
+        "contact": {"friction_coefficient": "stick"},
+        "press": {"depth_mm": max(depths), "force_n": "none", "frames": 1 + 2 * round(max(depths) / spacing)},
+    }
+    press = solve(scene)[1]
+    return {depth: float(np.interp(depth, press.approach * 1e3, -press.force[:, 2])) for depth in depths}
+
+
+def _ball_row(path: Path, depth: float) -> Row:
+    data = dict(_ball_data(path))
+    try:
+        forces = _ball_forces(tuple(sorted(data)))
+    except SolveError as error:
+        return {"status": "SolveError", "message": str(error)}
+    measured, tried = np.array(list(data.values())), np.array([forces[d] for d in data])
+    scale = float((measured * tried).sum() / (tried**2).sum())
+    return {
+        "status": SolveStatus.CONVERGED.name,
+        "measured_n": data[depth],
+        "ours_n": round(scale * forces[depth], 4),
+        "error_percent": round(100 * (scale * forces[depth] / data[depth] - 1), 1),
+        "modulus_kpa": round(scale * _TRIED_KPA, 1),
+        "rms_n": round(float(np.sqrt(np.mean((scale * tried - measured) ** 2))), 3),
+    }
+
+
+def _ball_remarks(rows: list[Row]) -> str:
+    row = rows[0]
+    if "modulus_kpa" not in row:
+        return ""
+    return (
+        f"One modulus fitted: E = {row['modulus_kpa']:g} kPa; RMS of the differences {row['rms_n']:g} N. The authors' own fit, "
+        "incompressible neo-Hookean, is C₁₀ = 72.5 kPa, E = 435 kPa."
+    )
+
+
+BALL_SECTION = Section(
+    title="Measured: a ball on a sensor's gel",
+    columns=(("depth", "name"), ("measured [N]", "measured_n"), ("ours [N]", "ours_n"), ("error [%]", "error_percent")),
+    cases=_ball_cases,
+    remarks=_ball_remarks,
+)
+
+# ---------------------------------------------------------------------------------------------------------------- compressed cylinders
+PHANTOMS = Path("silicone_phantoms")
+RADIUS_MM, HEIGHT_MM = 25.0, 30.0
+STRAINS = 0.05, 0.40
+"""Range of the fit: below, the platen is not in full touch; beyond, the rim folds onto the platen."""
+RATIOS = 0.0, 0.1, 0.3, 0.6
+"""Yeoh's c₂/c₁ of the curves that fits interpolate between."""
+FRICTIONS: dict[str, float | str] = {"sticking": "stick", "friction 0.3": 0.3}
+_STEP = 0.02
+"""Strain between states; the last lies beyond the fit's range by the largest lost height."""
+_LAST = 0.44
+_LOST_MM = np.linspace(-0.2, 1.2, 57)
+
+
+def specimen() -> TetMesh:
+    """A quarter of the upper half of a cylinder, its middle plane sliding; its top and its flank may touch the platen."""
+    half = HEIGHT_MM / 2
+    mesh = quarter_disc(RADIUS_MM, 6, half * (np.array([0, 0.3, 0.55, 0.75, 0.9, 1.0]) - 1.0), "sliding", "top", "flank")
+    groups = {
+        "bonded": np.zeros((0, 6), np.int32),
+        "sliding": mesh.groups["sliding"],
+        "coated": np.vstack([mesh.groups["top"], mesh.groups["flank"]]),
+    }
+    return TetMesh(mesh.rest_positions, mesh.tets, groups, mesh.symmetry)
+
+
+@lru_cache
+def platen_curve(friction: float | str, ratio: float) -> tuple[Array, Array]:
+    """Engineering strains, and force [N] at E = 1 kPa, of the cylinder between platens; a law of Yeoh with c₂/c₁ = `ratio`."""
+    depth = _LAST * HEIGHT_MM / 2
+    scene = Scene(
+        gel=Gel(profile="flat", youngs_modulus_kpa=100.0, size_mm=(60.0, 60.0), thickness_mm=HEIGHT_MM / 2),
+        object=Body(shape="flat", rigid=True),
+        contact=Contact(friction_coefficient=friction),
+        press=Press(depth_mm=depth, force_n=None, frames=1 + round(_LAST / _STEP)),
+        fidelity="balanced",
+    )
+    side = 2 * RADIUS_MM * MM
+    corners = np.array([[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]])
+    platen = quadratic_faces(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32))
+    material = ElasticMaterial.from_modulus(100e3, 0.499, "yeoh", (ratio, 0.0)) if ratio else ElasticMaterial.from_modulus(100e3, 0.499)
+    press = run_press(PressProblem(scene, specimen(), platen, (np.eye(3), np.zeros(3)), material, None, "cpu"), throw=False)
+    strain = press.approach / (HEIGHT_MM / 2 * MM)
+    if press.status is not SolveStatus.CONVERGED and strain[-1] < STRAINS[1]:
+        raise SolveError(f"cylinder between platens, friction {friction}, c₂/c₁ {ratio}: stopped {press.message}", press)
+    return strain, -press.force[:, 2] / 100.0
+
+
+def smooth_curve(ratio: float) -> tuple[Array, Array]:
+    """The same without friction: the incompressible bar of physics.md §5.7."""
+    strain = np.linspace(0, _LAST, 1 + round(_LAST / _STEP))
+    stretch = 1 - strain
+    stress = (stretch**-2 - stretch) / 3 * (1 + 2 * ratio * (stretch**2 + 2 / stretch - 3))
+    return strain, stress * np.pi * RADIUS_MM**2 * 1e-3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Modulus [kPa], c₂/c₁, height lost [mm], and the RMS difference over the greatest force."""
+
+    modulus: float
+    ratio: float
+    lost_mm: float
+    rms: float
+
+
+def fit(compression_mm: Array, force: Array, friction: str, yeoh: bool) -> Fit:
+    """Least squares over the forces; the modulus is linear, the other two are looked for on a grid."""
+    best = Fit(0.0, 0.0, 0.0, np.inf)
+    for ratio in np.linspace(RATIOS[0], RATIOS[-1], 121) if yeoh else (0.0,):
+        strains, curve = _curve(friction, float(ratio))
+        for lost in _LOST_MM:
+            strain = (compression_mm - lost) / (HEIGHT_MM - lost)
+            chosen = (strain >= STRAINS[0]) & (strain <= STRAINS[1])
+            unit, wanted = np.interp(strain[chosen], strains, curve), force[chosen]
+            modulus = float((unit * wanted).sum() / (unit**2).sum())
+            rms = float(np.sqrt(np.mean((modulus * unit - wanted) ** 2)) / wanted.max())
+            if rms < best.rms:
+                best = Fit(modulus, float(ratio), float(lost), rms)
+    return best
+
+
+def _curve(friction: str, ratio: float) -> tuple[Array, Array]:
+    if friction == "smooth":
+        return smooth_curve(ratio)
+    strains = platen_curve(FRICTIONS[friction], 0.0)[0]
+    if ratio == 0.0:
+        return platen_curve(FRICTIONS[friction], 0.0)
+    forces = np.array([np.interp(strains, *platen_curve(FRICTIONS[friction], r)) for r in RATIOS])
+    place = int(np.clip(np.searchsorted(RATIOS, ratio) - 1, 0, len(RATIOS) - 2))
+    share = (ratio - RATIOS[place]) / (RATIOS[place + 1] - RATIOS[place])
+    return strains, (1 - share) * forces[place] + share * forces[place + 1]
+
+
+def compression_curve(path: Path) -> tuple[Array, Array]:
+    """Compression [mm] and force [N] of one test, rising strains only."""
+    lines = path.read_text().splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("Time"))
+    table = np.array([[float(cell) for cell in line.split(",")[1:3]] for line in lines[start + 1 :] if line.strip()])
+    return table[:, 0], table[:, 1]
+
+
+def _silicone_cases(options: Options) -> Iterator[Case]:
+    folder = None if options.data is None else options.data / PHANTOMS
+    if folder is None or not folder.is_dir():
+        return
+    names = sorted((path.name for path in folder.iterdir() if path.is_dir()), key=_thinner)
+    for name in names[::6] if options.quick else names:
+        yield Case(name, partial(_silicone_row, folder, name))
+
+
+def _thinner(name: str) -> tuple[str, float]:
+    """Sorts EF10_12_5T by its base, then by the share of thinner."""
+    base, share = name.rstrip("T").split("_", 1)
+    return base, float(share.replace("_", "."))
+
+
+def _silicone_row(folder: Path, name: str) -> Row:
+    tests = [compression_curve(path) for path in sorted((folder / name).glob("*.csv"))]
+    published = json.loads((folder / "hyperelastic_parameters.json").read_text())["engineering"][name]["Yeoh_o2"]["parameters"]
+    row: Row = {"status": SolveStatus.CONVERGED.name, "tests": len(tests), "published_kpa": round(6 * published[0], 1)}
+    row["published_ratio"] = round(published[1] / published[0], 2)
+    try:
+        for label, friction, yeoh in (
+            ("smooth", "smooth", True), ("smooth_neo", "smooth", False), ("stick", "sticking", True), ("stick_neo", "sticking", False),
+            ("slide", "friction 0.3", True),
+        ):  # fmt: skip
+            fits = [fit(*test, friction, yeoh) for test in tests]
+            row |= {
+                f"{label}_kpa": round(float(np.mean([f.modulus for f in fits])), 1),
+                f"{label}_ratio": round(float(np.mean([f.ratio for f in fits])), 2),
+                f"{label}_rms_percent": round(100 * float(np.mean([f.rms for f in fits])), 1),
+                f"{label}_lost_mm": round(float(np.mean([f.lost_mm for f in fits])), 2),
+                f"{label}_spread_percent": round(100 * float(np.ptp([f.modulus for f in fits]) / np.mean([f.modulus for f in fits])), 1),
+            }
+    except SolveError as error:
+        return row | {"status": "SolveError", "message": str(error)}
+    return row
+
+
+def _silicone_remarks(rows: list[Row]) -> str:
+    rows = [row for row in rows if "stick_kpa" in row]
+    if not rows:
+        return ""
+    stiffer = np.array([row["smooth_kpa"] / row["stick_kpa"] for row in rows])
+    slide = np.array([row["smooth_kpa"] / row["slide_kpa"] for row in rows])
+    return (
+        f"A reading that forgets the platens' friction is {100 * (np.median(stiffer) - 1):.0f} % too stiff if the silicone sticks "
+        f"({100 * (stiffer.min() - 1):.0f} to {100 * (stiffer.max() - 1):.0f}), {100 * (np.median(slide) - 1):.0f} % if it slides at 0.3. "
+        f"One modulus alone (neo-Hookean, sticking) leaves {np.median([row['stick_neo_rms_percent'] for row in rows]):.1f} % RMS of the "
+        f"greatest force, Yeoh's second constant {np.median([row['stick_rms_percent'] for row in rows]):.1f} %, without friction "
+        f"{np.median([row['smooth_rms_percent'] for row in rows]):.1f} %: the curves do not tell friction from the law's curvature. "
+        "The published constants are fitted over all strains, without friction."
+    )
+
+
+def _draw(rows: list[Row], folder: Path) -> None:
+    """measured-silicones.png: the modulus of every silicone as each reading has it."""
+    rows = [row for row in rows if "stick_kpa" in row]
+    if not rows:
+        return
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.add_subplot()
+    place = np.arange(len(rows))
+    for field, label, mark in (
+        ("published_kpa", "published, 6 c₁, all strains", "x"), ("smooth_kpa", "no friction", "^"),
+        ("slide_kpa", "friction 0.3", "s"), ("stick_kpa", "sticking", "o"),
+    ):  # fmt: skip
+        axes.plot(place, [row[field] for row in rows], mark, label=label, ms=5, mfc="none")
+    axes.set_xticks(place, [row["name"] for row in rows], rotation=60, ha="right", fontsize=7)
+    axes.set(ylabel="E [kPa]", yscale="log", title="small-strain modulus of silicones from compression")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.savefig(folder / "measured-silicones.png", dpi=140)
+
+
+SILICONES_SECTION = Section(
+    title="Measured: silicone cylinders between platens",
+    columns=(
+        ("silicone", "name"), ("E, no friction [kPa]", "smooth_kpa"), ("E, friction 0.3", "slide_kpa"), ("E, sticking", "stick_kpa"),
+        ("c₂/c₁, sticking", "stick_ratio"), ("RMS [% of greatest force]", "stick_rms_percent"), ("… neo-Hookean", "stick_neo_rms_percent"),
+        ("… no friction", "smooth_rms_percent"), ("height lost [mm]", "stick_lost_mm"), ("two tests differ [%]", "stick_spread_percent"),
+        ("6 c₁ published", "published_kpa"),
+    ),
+    cases=_silicone_cases,
+    remarks=_silicone_remarks,
+    draw=_draw,
+)  # fmt: skip
