@@ -11,5 +11,6 @@ SECTIONS = {
     "speed": "gelsim.bench.speed",
     "batch": "gelsim.bench.batch",
     "stability": "gelsim.bench.stability",
+    "random": "gelsim.bench.random_scenes",
 }
 """Section, and the module that holds it, in the order they are run and written. Names alone: nothing heavy is imported before it runs."""

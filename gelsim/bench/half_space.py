@@ -64,7 +64,7 @@ def solve(scene: Layer) -> tuple[PressProblem, Deformation]:
     return problem, press
 
 
-def _thick(body: Layer, press: Layer, size_mm: float = 40.0) -> Layer:
+def _thick(body: Layer, press: Layer, size_mm: float = 100.0) -> Layer:
     gel = {"profile": "flat", "size_mm": [size_mm, size_mm], "thickness_mm": THICK_MM, "youngs_modulus_kpa": GEL_KPA, "poissons_ratio": NU}
     return {"gel": gel, "object": body, "contact": SMOOTH, "press": {"force_n": "none", "frames": 4} | press, "fidelity": "reference"}
 
@@ -135,7 +135,7 @@ def _two_split() -> tuple[float, float, float]:
 def _line() -> tuple[float, float, float]:
     """p₀ = E* b/(2R) in the middle of a cylinder 40 mm long, from the pressures within 5 mm of there."""
     body = {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 12.0, "length_mm": 40.0, "rigid": True}
-    _, press = solve(_thick(body, {"depth_mm": 0.06}))
+    _, press = solve(_thick(body, {"depth_mm": 0.06}, 40.0))
     middle = np.abs(press.gel.rest[:, 1]) < 5e-3
     top, half = _hertz_fit(press.gel.rest[middle, 0] * 1e3, press.contact_pressure[-1, middle] * 1e-3)
     return top * 20.0 / (PLANE_GEL * half), 1.0, 1.0
@@ -144,7 +144,7 @@ def _line() -> tuple[float, float, float]:
 # ---------------------------------------------------------------------------------------------------------------- punches, thin gels
 def _thick_punch() -> tuple[float, float, float]:
     body = {"shape": "punch", "radius_mm": 3.0, "height_mm": 5.0, "rigid": True}
-    _, press = solve(_thick(body, {"depth_mm": 0.06}, 60.0) | {"fidelity": "balanced"})
+    _, press = solve(_thick(body, {"depth_mm": 0.06}) | {"fidelity": "balanced"})
     force = 2 * 3.0 * PLANE_GEL * 0.06 / (1 - LAYER * 2 * 3.0 / THICK_MM) * 1e-3
     return -press.force[-1, 2], force, force
 

@@ -6,12 +6,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from gelsim import materials, meshing, pipeline, shapes
+from gelsim import materials, pipeline
 from gelsim.bench.section import Case, Layer, Row
 from gelsim.errors import GelsimError, SolveStatus
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
-from gelsim.geometry import QuadraticSurface
 from gelsim.results import Deformation
 from gelsim.scene_file import build_scene
 
@@ -65,10 +64,17 @@ def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -
         "factorisations": press.info["factorisations"],
         "min_jacobian": round(float(press.min_jacobian.min()), 3),
         "penetration_um": round(float(press.penetration.max()) * 1e6, 2),
+        "drift_percent": round(100 * _drift(press), 2),
         "approach_mm": round(float(press.approach[-1]) * 1e3, 4),
         "force_n": [round(float(f), 6) for f in press.force[-1]],
     }
     return row | (further(press) if further else {})
+
+
+def _drift(press: Deformation) -> float:
+    energy = press.info["energy"]
+    assert isinstance(energy, dict)
+    return energy["drift"]
 
 
 def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:
@@ -78,10 +84,6 @@ def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:
         GelsimError: The scene is none, or cannot be meshed.
     """
     made = build_scene(scene)
-    symmetry = shapes.press_symmetry(made)
-    gel_material, object_material = materials.gel_material(made), materials.object_material(made)
-    body = shapes.rigid_surface(made, symmetry) if object_material is None else meshing.mesh_object(made, symmetry)
-    surface = body if isinstance(body, QuadraticSurface) else body.surface("contact")
-    gel = meshing.mesh_gel(made, symmetry)
-    problem = PressProblem(made, gel, body, shapes.placement(made, surface), gel_material, object_material, "cpu")
+    gel, body, placement = pipeline.bodies(made)
+    problem = PressProblem(made, gel, body, placement, materials.gel_material(made), materials.object_material(made), "cpu")
     return problem, run_press(problem, throw=False)

@@ -35,10 +35,11 @@ def describe(name: str, section: Section, rows: list[Row], cases: int, quick: bo
     seconds = " Seconds: the solve alone, kernels and meshes cached." if any(field == "seconds" for _, field in section.columns) else ""
     part = "" if len(rows) == cases else f" {len(rows)} of {cases} cases so far."
     lines = [f"`{command}`, {os.cpu_count()} cores ({platform.machine()}){busy}.{part}{seconds}", ""]
-    if rows:
-        lines += table(section.columns, rows)
+    listed = section.listed(rows)
+    if listed:
+        lines += table(section.columns, listed)
     remarks = section.remarks(rows).strip() if rows else ""
-    return "\n".join(lines + (["", remarks] if remarks else [])) + "\n"
+    return "\n".join(lines + ([""] * bool(listed) + [remarks] if remarks else [])) + "\n"
 
 
 def table(columns: tuple[tuple[str, str], ...], rows: Iterable[Row]) -> list[str]:

@@ -49,6 +49,8 @@ class Section:
     cases: Callable[[Options], Iterable[Case]]
     judge: Callable[[list[Row]], list[Row]] = _unchanged
     """Rows as measured to rows as written: verdicts, and what takes two rows to say."""
+    listed: Callable[[list[Row]], list[Row]] = _unchanged
+    """The rows that the table for people holds; the CSV holds all."""
     remarks: Callable[[list[Row]], str] = lambda rows: ""
     """What the table says as a whole, Markdown below it."""
     draw: Callable[[list[Row], Path], None] | None = None

@@ -1,0 +1,77 @@
+"""A child process that measures cases one after the other, each within a time and all within a memory: what hangs or grows is ended.
+
+The child imports and compiles once; after it was ended a new one is started for the next case.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+from gelsim.bench.section import Row
+
+GIGABYTE = 1 << 30
+
+
+class Bounded:
+    """Calls `measure` in a child process.
+
+    Args:
+        measure: A function of a module, so that the child can import it; returns a row.
+        seconds: Allowed for a call. memory: Allowed for the child's own data [bytes], where the system can bound it.
+    """
+
+    def __init__(self, measure: Callable[..., Row], seconds: float, memory: int) -> None:
+        self._measure, self._seconds, self._memory = measure, seconds, memory
+        self._child: Any = None
+        self._pipe: Connection | None = None
+
+    def __call__(self, *arguments: object) -> Row:
+        if self._pipe is None:
+            context = multiprocessing.get_context("spawn")
+            self._pipe, other = context.Pipe()
+            self._child = context.Process(target=_serve, args=(other, self._measure, self._memory), daemon=True)
+            self._child.start()
+            other.close()
+        self._pipe.send(arguments)
+        if not self._pipe.poll(self._seconds):
+            self.close()
+            return {"status": "TIMEOUT", "message": f"not done after {self._seconds:g} s"}
+        try:
+            return self._pipe.recv()
+        except EOFError:
+            self._child.join()
+            code = self._child.exitcode
+            self.close()
+            return {"status": "DIED", "message": f"the process ended with code {code}"}
+
+    def close(self) -> None:
+        """Ends the child, whatever it does."""
+        if self._pipe is not None:
+            self._child.kill()
+            self._child.join()
+            self._pipe.close()
+            self._pipe = self._child = None
+
+
+def _serve(pipe: Connection, measure: Callable[..., Row], memory: int) -> None:
+    try:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    except (ImportError, ValueError, OSError):  # no such bound on this system: the time alone is bounded
+        pass
+    while True:
+        try:
+            arguments = pipe.recv()
+        except EOFError:
+            return
+        try:
+            row = measure(*arguments)
+        except MemoryError:
+            row = {"status": "MEMORY", "message": f"more than {memory / GIGABYTE:g} GB"}
+        except Exception as error:
+            row = {"status": type(error).__name__, "message": str(error)}
+        pipe.send(row)
