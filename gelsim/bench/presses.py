@@ -51,12 +51,17 @@ def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -
         press = pipeline.press(made, device="cpu", record=record, throw=False)
     except GelsimError as error:
         return row | {"status": type(error).__name__, "message": str(error), "seconds": round(time.perf_counter() - start, 2)}
-    row |= {
+    row["seconds"] = round(record.seconds["press"], 2)
+    return row | facts(press, made.press.frames) | (further(press) if further else {})
+
+
+def facts(press: Deformation, states_wanted: int) -> Row:
+    """What every press says of itself."""
+    return {
         "status": press.status.name,
         "message": press.message if press.status is not SolveStatus.CONVERGED else "",
         "states": len(press.approach),
-        "states_wanted": made.press.frames,
-        "seconds": round(record.seconds["press"], 2),
+        "states_wanted": states_wanted,
         "unknowns": press.info["unknowns"],
         "steps_halved": press.info["steps_halved"],
         "stress_jump": press.info["stress_jump"],
@@ -68,7 +73,6 @@ def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -
         "approach_mm": round(float(press.approach[-1]) * 1e3, 4),
         "force_n": [round(float(f), 6) for f in press.force[-1]],
     }
-    return row | (further(press) if further else {})
 
 
 def _drift(press: Deformation) -> float:

@@ -17,7 +17,7 @@ from gelsim.errors import SolveStatus
 
 SEED = 2017
 COUNT, QUICK_COUNT = 300, 10
-SECONDS = 900.0
+SECONDS = 1800.0
 MEMORY = 8 * GIGABYTE
 WANTED = 0.995
 

@@ -29,6 +29,8 @@ class Table:
 
 def describe(name: str, section: Section, rows: list[Row], cases: int, quick: bool) -> str:
     """Where the numbers come from, the table, and what it says as a whole."""
+    if cases == 0:
+        return f"Skipped: {section.needs}.\n"
     command = f"gelsim bench --only {name}{' --quick' if quick else ''}"
     loads = [row["load"] for row in rows if row.get("load") is not None]
     busy = f", load {min(loads):g} to {max(loads):g}" if loads else ""

@@ -47,6 +47,8 @@ class Section:
     columns: tuple[tuple[str, str], ...]
     """Header and field of each column of the table for people."""
     cases: Callable[[Options], Iterable[Case]]
+    needs: str = ""
+    """What to give the command where the section has no cases without it."""
     judge: Callable[[list[Row]], list[Row]] = _unchanged
     """Rows as measured to rows as written: verdicts, and what takes two rows to say."""
     listed: Callable[[list[Row]], list[Row]] = _unchanged

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from gelsim.bench import SECTIONS, accuracy, runner
+from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, random_scenes, runner, stability
 from gelsim.bench.section import Case, Options, Section
 from gelsim.errors import SceneError
 from gelsim.scene_file import build_scene
@@ -85,6 +89,68 @@ def test_a_page_keeps_its_words_and_gets_its_table(tmp_path: Path, measured: lis
     page.write_text("Nothing.")
     with pytest.raises(SceneError, match="no place for section 'letters'"):
         runner.run(tmp_path / "out", resume=True, page=page)
+
+
+def test_measured_sections_without_their_data_say_what_they_need(tmp_path: Path) -> None:
+    out = runner.run(tmp_path, sections=("measured-ball", "measured-silicones"), options=Options(data=None))
+    assert out["cases"] == 0
+    assert (tmp_path / "bench.md").read_text().count("Skipped: --data DIR or $GELSIM_DATA") == 2
+
+
+def test_random_scenes_depend_on_their_number_alone() -> None:
+    first = [random_scenes.draw(index) for index in range(20)]
+    assert [random_scenes.draw(index) for index in reversed(range(20))] == first[::-1]
+    assert len({str(scene) for scene in first}) == 20
+
+
+def _misbehaves(how: str) -> dict[str, object]:
+    if how == "hangs":
+        time.sleep(60)
+    elif how == "grows":
+        bytearray(4 * bounded.GIGABYTE)
+    elif how == "dies":
+        os._exit(7)
+    return {"status": "CONVERGED", "process": os.getpid()}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the bound of memory is Linux's")
+def test_a_bounded_case_cannot_take_the_others_with_it() -> None:
+    call = bounded.Bounded(_misbehaves, seconds=5.0, memory=2 * bounded.GIGABYTE)
+    try:
+        found = [call(how) for how in ("", "grows", "", "dies", "hangs", "")]
+    finally:
+        call.close()
+    assert [row["status"] for row in found] == ["CONVERGED", "MEMORY", "CONVERGED", "DIED", "TIMEOUT", "CONVERGED"]
+    assert found[0]["process"] == found[2]["process"] != found[5]["process"]
+    assert "code 7" in found[3]["message"] and "5 s" in found[4]["message"]
+
+
+def test_verdicts_name_what_is_wrong_and_how_far_pairs_are_apart() -> None:
+    good = {"status": "CONVERGED", "min_jacobian": 0.5, "penetration_um": 4.0, "drift_percent": 0.2, "states": 6, "states_wanted": 6}
+    rows = [
+        good | {"name": "mirrored: offset and tilt +", "force_n": [0.1, 0.0, -1.0]},
+        good | {"name": "mirrored: offset and tilt -", "force_n": [-0.1, 0.0, -1.001]},
+        good | {"name": "50 load steps", "force_n": [0.0, 0.0, -1.0]},
+        good | {"name": "one load step", "force_n": [0.0, 0.0, -1.1]},
+        good | {"name": "deep", "force_n": [0.0, 0.0, -1.0], "penetration_um": 80.0, "drift_percent": -9.0},
+        {"name": "failed", "status": "MAX_ITERATIONS", "message": "at 0.3 mm"},
+    ]
+    verdicts = [row["verdict"] for row in stability._judged(rows)]
+    assert verdicts[0] == "well" and "0.1 % from" in verdicts[1] and verdicts[2] == "well"
+    assert verdicts[3].startswith("NOT WELL: 10 % from")
+    assert "overlap 80" in verdicts[4] and "drift -9 %" in verdicts[4] and verdicts[5] == "NOT WELL: at 0.3 mm"
+
+
+def test_closed_forms_are_judged_by_their_bounds_and_the_control_the_other_way() -> None:
+    known = closed_forms.Known("number", lambda: (1.01, 1.0, 1.0), 0.02, "somewhere")
+    assert closed_forms._measure(known)["verdict"] == "met"
+    assert closed_forms._measure(replace(known, bound=0.005))["verdict"] == "NOT MET"
+    assert closed_forms._measure(replace(known, control=True))["verdict"] == "FAULT NOT SEEN"
+
+
+@pytest.mark.parametrize("known", [known for known in blocks.known() if "32 cells" not in known.name], ids=lambda known: known.name)
+def test_blocks_meet_their_bounds(known: closed_forms.Known) -> None:
+    assert closed_forms._measure(known)["verdict"] in ("met", "seen, as it must be")
 
 
 def test_the_page_has_a_place_for_every_section(repository: Path) -> None:
