@@ -13,6 +13,9 @@ from typing import Any
 from gelsim.bench.section import Row
 
 GIGABYTE = 1 << 30
+START_SECONDS = 300.0
+"""Allowed for a child to import what it needs; no case's time."""
+_READY = "ready"
 
 
 class Bounded:
@@ -35,6 +38,8 @@ class Bounded:
             self._child = context.Process(target=_serve, args=(other, self._measure, self._memory), daemon=True)
             self._child.start()
             other.close()
+            if not self._pipe.poll(START_SECONDS) or self._pipe.recv() != _READY:
+                raise OSError(f"a child process was not ready after {START_SECONDS:g} s")
         self._pipe.send(arguments)
         if not self._pipe.poll(self._seconds):
             self.close()
@@ -63,6 +68,7 @@ def _serve(pipe: Connection, measure: Callable[..., Row], memory: int) -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
     except (ImportError, ValueError, OSError):  # no such bound on this system: the time alone is bounded
         pass
+    pipe.send(_READY)
     while True:
         try:
             arguments = pipe.recv()
