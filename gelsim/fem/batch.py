@@ -41,9 +41,9 @@ from gelsim.results import Deformation
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MARGIN_MM = 0.6
+MARGIN_MM = 0.3
 """Gap under which a pair of faces is given its place in the matrix: wider than for one press, as a new order costs all scenes."""
-FORCING = 0.05
+FORCING = 0.1
 """|R + K step|/|R| to which a step is solved; a scene whose factor does not bring it there in time gets a new one for its next step."""
 POOR = 0.5
 """… above which the step is not taken but solved anew at once."""

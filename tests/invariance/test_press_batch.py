@@ -1,0 +1,118 @@
+"""A press gives the same in a batch as by itself, whatever its neighbours do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gelsim import pipeline
+from gelsim.errors import SolveStatus
+from gelsim.fem import solve_batch
+from gelsim.fem.batch import Costs
+from gelsim.fem.krylov import BatchedGmres
+from gelsim.results import Deformation
+from gelsim.scene import Scene
+from gelsim.scene_file import build_scene
+
+# Newton leaves 3e-4 of the contact force unbalanced at `fast`, once by itself and once in the batch. Found: 1e-4 and less.
+SAME = 1e-3
+# The multipliers come from a rough solve, which ends elsewhere; a step may leave OVERLAP_MM = 5 µm either way. Found: 2.4 µm.
+SAME_PLACE = 5e-6
+
+
+def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene:
+    return build_scene(
+        {
+            "fidelity": "fast",
+            "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0},
+            "object": {"shape": "hemisphere", "radius_mm": 5.0, "youngs_modulus_kpa": modulus},
+            "contact": {"friction_coefficient": friction},
+            "press": {"depth_mm": 0.6, "force_n": "none", "frames": 4} | press,
+        }
+    )
+
+
+def alone(one: Scene) -> Deformation:
+    return pipeline.press(one, device="cpu", throw=False)
+
+
+def test_neighbours_do_not_matter() -> None:
+    """Soft and hard, with and without friction, one that stops at a force: each as by itself."""
+    scenes = [scene(30.0), scene(600.0), scene(200.0, 0.5), scene(100.0, "stick"), scene(200.0, force_n=0.05)]
+    together = pipeline.press_batch(scenes, device="cpu")
+    for one, press in zip(scenes, together, strict=True):
+        single = alone(one)
+        assert press.status is SolveStatus.CONVERGED
+        scale = np.abs(single.force).max()
+        assert scale > 1e-3
+        assert press.approach == pytest.approx(single.approach, rel=5e-3)  # a force is met within FORCE_TOLERANCE, 2e-3
+        if one.press.force_n is None:
+            assert np.abs(press.force - single.force).max() < SAME * scale
+            assert np.abs(press.gel.displacement - single.gel.displacement).max() < SAME_PLACE
+    assert together[4].force[-1, 2] == pytest.approx(-0.05, rel=4e-3)
+    # planted: the presses do differ from each other by far more
+    assert np.abs(together[0].force - together[1].force).max() > 0.1 * np.abs(together[1].force).max()
+
+
+def test_a_press_that_fails_leaves_the_others_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    import gelsim.fem.quasistatic as quasistatic
+
+    monkeypatch.setattr(quasistatic, "SMALLEST_STEP", 1 / 4)
+    crushed = scene(5.0, depth_mm=0.6, frames=2, twist_deg=179.0)
+    good = scene(200.0)
+    lost, kept = solve_batch([(one, *pipeline.bodies(good)) for one in (crushed, good)], device="cpu")
+    single = alone(good)
+    assert kept.status is SolveStatus.CONVERGED
+    assert np.abs(kept.force - single.force).max() < SAME * np.abs(single.force).max()
+    if lost.status is not SolveStatus.CONVERGED:
+        assert "press stopped at approach" in lost.message
+
+
+def test_scenes_of_other_meshes_are_told_apart() -> None:
+    coarse = pipeline.bodies(scene(200.0))
+    other = pipeline.bodies(build_scene({"fidelity": "fast", "object": {"shape": "cone"}}))
+    with pytest.raises(ValueError, match="same meshes"):
+        solve_batch([(scene(200.0), *coarse), (scene(200.0), *other)], device="cpu")
+
+
+def test_costs_say_where_the_time_went() -> None:
+    costs = Costs()
+    solve_batch([(scene(200.0), *pipeline.bodies(scene(200.0)))], device="cpu", costs=costs)
+    assert costs.unknowns > 1000 and costs.systems["factorise"] >= 1 and costs.systems["solve"] > costs.calls["residual"] / 4
+    assert set(costs.seconds) >= {"residual", "tangent", "factorise", "solve", "pattern", "march", "prepare"}
+
+
+def test_gmres_against_numpy() -> None:
+    """Unsymmetric systems of different difficulty, side by side; one is left out, one has nothing to solve."""
+    import warp as wp
+
+    rng = np.random.default_rng(1)
+    count, n = 4, 30
+    matrices = rng.normal(size=(count, n, n)) * np.array([0.02, 0.1, 0.05, 0.05])[:, None, None] + np.eye(n)
+    right = rng.normal(size=(count, n))
+    right[3] = 0.0
+
+    def product(v: wp.array, out: wp.array) -> None:
+        out.assign(np.einsum("sij,sj->si", matrices, v.numpy().reshape(count, n)).ravel())
+
+    def nothing(v: wp.array, out: wp.array, which: object) -> None:
+        out.assign(v)
+
+    which = np.array([True, True, False, True])
+    x = wp.array(np.full(count * n, 7.0), dtype=wp.float64)
+    b = wp.array(right.ravel(), dtype=wp.float64)
+    used, left = BatchedGmres(count, n, "cpu").solve(product, nothing, b, x, which, 1e-3)
+    found = x.numpy().reshape(count, n)
+    for one in (0, 1):
+        rest = np.linalg.norm(right[one] - matrices[one] @ found[one]) / np.linalg.norm(right[one])
+        assert rest == pytest.approx(left[one], rel=1e-6)  # what it says of itself is true: Givens' residual is the residual
+    assert left[0] <= 1e-3 and 0 < used[0] < used[1]
+    assert (found[2] == 7.0).all() and used[2] == 0
+    assert (found[3] == 0.0).all()
+
+
+@pytest.mark.gpu
+def test_cuda_gives_the_same() -> None:
+    scenes = [scene(30.0), scene(600.0), scene(200.0, 0.5)]
+    for press, single in zip(pipeline.press_batch(scenes, device="cuda"), map(alone, scenes), strict=True):
+        assert np.abs(press.force - single.force).max() < SAME * np.abs(single.force).max()
