@@ -68,6 +68,12 @@ def isochoric_energy(f: Array, law: Array) -> Array:
     return law[0] * excess + law[1] * excess**2 + law[2] * excess**3
 
 
+def volume_change(h: Array) -> Array:
+    """J - 1 of a displacement gradient (3, 3), in its own precision: det(1 + H) - 1 would round at 1."""
+    trace = np.trace(h)
+    return trace + (trace * trace - np.trace(h @ h)) / h.dtype.type(2) + np.linalg.det(h)
+
+
 def element_energy(u: Array, p: Array, gradients: Array, weights: Array, shape: Array, law: Array, kappa: float) -> complex:
     """Π of one tet [µJ].
 
