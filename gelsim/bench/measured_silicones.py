@@ -39,7 +39,8 @@ FRICTIONS: dict[str, float | str] = {"sticking": "stick", "friction 0.3": 0.3}
 _STEP = 0.02
 """Strain between states; the last lies beyond the fit's range by the largest lost height."""
 _LAST = 0.26
-_LOST_MM = np.linspace(-0.2, 1.2, 57)
+_LOST_MM = np.linspace(-0.6, 1.2, 73)
+"""Heights tried; below zero where the test was zeroed after first touch."""
 
 
 def specimen() -> TetMesh:
@@ -174,13 +175,13 @@ def _silicone_remarks(rows: list[Row]) -> str:
         return ""
     stiffer = np.array([row["smooth_kpa"] / row["stick_kpa"] for row in rows])
     slide = np.array([row["smooth_kpa"] / row["slide_kpa"] for row in rows])
+    medians = {name: float(np.median([row[f"{name}_rms_percent"] for row in rows])) for name in ("stick_neo", "stick", "slide", "smooth")}
     return (
         f"A reading that forgets the platens' friction is {100 * (np.median(stiffer) - 1):.0f} % too stiff if the silicone sticks "
         f"({100 * (stiffer.min() - 1):.0f} to {100 * (stiffer.max() - 1):.0f}), {100 * (np.median(slide) - 1):.0f} % if it slides at 0.3. "
-        f"One modulus alone (neo-Hookean, sticking) leaves {np.median([row['stick_neo_rms_percent'] for row in rows]):.1f} % RMS of the "
-        f"greatest force, Yeoh's second constant {np.median([row['stick_rms_percent'] for row in rows]):.1f} %, without friction "
-        f"{np.median([row['smooth_rms_percent'] for row in rows]):.1f} %: the curves do not tell friction from the law's curvature. "
-        "The published constants are fitted over all strains, without friction."
+        f"Left over, median RMS in % of the greatest force: one modulus, sticking {medians['stick_neo']:.1f}; with c₂/c₁ (0 or more) "
+        f"sticking {medians['stick']:.1f}, friction 0.3 {medians['slide']:.1f}, none {medians['smooth']:.1f}. The published constants are "
+        "fitted over all strains, without friction."
     )
 
 

@@ -64,6 +64,9 @@ MOST_OVERLAP_UM = 50.0
 MOST_DRIFT_PERCENT = 3.0
 """Five steps: friction's loss is of second order in the step, up to 0.8 % at three steps in tests/invariance/test_press_balance.py."""
 
+FEWEST_STEPS = 5
+"""Load steps that the platen's work takes to be integrated so well."""
+
 AGREEMENTS: dict[str, tuple[str, float, str]] = {
     "the same with float64 factors": ("float32 factors, as always", 0.05, "Newton's tolerance at `fast` is 0.03 %"),
     "one load step": ("50 load steps", 3.0, "one step sees the whole slip as one"),
@@ -84,7 +87,7 @@ def _judged(rows: list[Row]) -> list[Row]:
             for field, text, bad in (
                 ("min_jacobian", "det F {:g}", row["min_jacobian"] < LEAST_JACOBIAN),
                 ("penetration_um", "overlap {:g} µm", row["penetration_um"] > MOST_OVERLAP_UM),
-                ("drift_percent", "energy drift {:g} %", abs(row["drift_percent"]) > MOST_DRIFT_PERCENT),
+                ("drift_percent", "energy drift {:g} %", row["states"] > FEWEST_STEPS and abs(row["drift_percent"]) > MOST_DRIFT_PERCENT),
             ):
                 wrong += [text.format(row[field])] if bad else []
             wrong += [f"ended at {row['approach_mm']:g} mm"] if row["states"] < row["states_wanted"] else []
@@ -112,7 +115,7 @@ def _remarks(rows: list[Row]) -> str:
 
 
 def _spoiled(scene: Layer) -> Row:
-    """The scene on meshes of poor quality: every inner vertex of both bodies moved at random as far as a quality of POOREST lets it."""
+    """The scene on meshes of poor quality: inner vertices of both bodies moved as far as a quality of POOREST allows."""
     made = build_scene(scene)
     gel, body, placement = pipeline.bodies(made)
     assert isinstance(body, TetMesh)
@@ -131,7 +134,7 @@ POOREST = 0.03
 
 
 def spoil(mesh: TetMesh, rng: np.random.Generator) -> TetMesh:
-    """A mesh whose inner vertices are moved at random, up to 0.6 of their shortest edge; its boundary stays."""
+    """A mesh whose inner vertices sit where, of twenty random places within their shortest edge, quality is poorest; its boundary stays."""
     nodes, tets = mesh.rest_positions.copy(), mesh.tets
     boundary = np.zeros(len(nodes), bool)
     boundary[np.unique(outer_faces(tets))] = True
@@ -145,11 +148,14 @@ def spoil(mesh: TetMesh, rng: np.random.Generator) -> TetMesh:
             continue
         near = tets[mine, :4]
         shortest = np.linalg.norm(nodes[near[near != vertex]] - nodes[vertex], axis=1).min()
-        before = nodes[vertex].copy()
-        nodes[vertex] += 0.6 * shortest * rng.uniform(-1, 1, 3)
-        local = tets[mine][:, :4]
-        if tet_volumes(nodes, local).min() <= 0 or tet_quality(nodes, local).min() < POOREST:
-            nodes[vertex] = before
+        before, local, poorest = nodes[vertex].copy(), tets[mine][:, :4], np.inf
+        best = before
+        for _ in range(20):
+            nodes[vertex] = before + shortest * rng.uniform(-1, 1, 3)
+            quality = tet_quality(nodes, local).min() if tet_volumes(nodes, local).min() > 0 else 0.0
+            if POOREST <= quality < poorest:
+                best, poorest = nodes[vertex].copy(), quality
+        nodes[vertex] = best
         shift[vertex] = nodes[vertex] - before
     for a, b, middle in ((*tets[:, edge].T, tets[:, 4 + k]) for k, edge in enumerate(TET_EDGES)):
         nodes[middle] = mesh.rest_positions[middle] + 0.5 * (shift[a] + shift[b])
