@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gelsim.errors import GelsimError, SceneError, SolveError
-    from gelsim.pipeline import press, press_sensitivity, render, simulate
+    from gelsim.pipeline import press, press_batch, press_sensitivity, render, simulate
     from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
     from gelsim.scene import Scene
     from gelsim.scene_file import load_scene
@@ -30,6 +30,7 @@ _HOMES = {
     "SolveError": "gelsim.errors",
     "load_scene": "gelsim.scene_file",
     "press": "gelsim.pipeline",
+    "press_batch": "gelsim.pipeline",
     "press_sensitivity": "gelsim.pipeline",
     "render": "gelsim.pipeline",
     "simulate": "gelsim.pipeline",
@@ -46,6 +47,7 @@ __all__ = [
     "SolveError",
     "load_scene",
     "press",
+    "press_batch",
     "press_sensitivity",
     "render",
     "simulate",

@@ -113,7 +113,15 @@ def _warp(advice: list[str]) -> dict[str, Any]:
     devices = child.stdout.strip().splitlines()[-1]
     if "cuda" not in devices:
         advice.append("no NVIDIA GPU with its driver: --device cuda is not possible here")
-    return {"Warp_devices": devices}
+        return {"Warp_devices": devices}
+    from gelsim.fem.cudss import find_cudss
+
+    library = find_cudss()
+    if library is None:
+        advice.append(
+            "batches of presses on the GPU want cuDSS: pip install -e .[cuda] (with a CUDA 12 driver: pip install nvidia-cudss-cu12)"
+        )
+    return {"Warp_devices": devices, "cuDSS": library or "not found"}
 
 
 def _solver(advice: list[str]) -> str:

@@ -47,6 +47,9 @@ class CudssBatch:
         path = find_cudss()
         if path is None:
             raise ImportError("cuDSS is not installed: pip install nvidia-cudss-cu13 (or -cu12, as your driver has it)")
+        for name in ("libnvrtc", "libcublasLt", "libcublas"):  # its needs, which as packages lie beside it
+            for needed in glob.glob(os.path.join(os.path.dirname(path), f"{name}.so*")):
+                ctypes.CDLL(needed, mode=ctypes.RTLD_GLOBAL)
         self._library = ctypes.CDLL(path)
         self.count, self.device = count, device
         self._handle, self._config, self._data = c_void_p(), c_void_p(), c_void_p()

@@ -214,7 +214,7 @@ class SymmetricSystem:
 
 
 class BatchedSystem:
-    """Solves many symmetric systems with one pattern: on CUDA by cuDSS, all in one call; else one after the other.
+    """Solves many symmetric systems with one pattern: on CUDA by cuDSS, all in one call; without it one after the other on the CPU.
 
     Attributes: `factored`, of each system whether `solve` may be asked for; `factor_entries` and
     `factor_flops` of one factorisation, 0 where they are not known.
@@ -225,13 +225,14 @@ class BatchedSystem:
         self.factor_flops = 0.0
         self._cudss = None
         if device.startswith("cuda"):
-            from gelsim.fem.cudss import CudssBatch
+            from gelsim.fem.cudss import CudssBatch, find_cudss
 
-            self._cudss = CudssBatch(count, device)
-            self.name = self._cudss.name
-        else:
-            self._direct = [make_solver() for _ in range(count)]
-            self.name = self._direct[0].name
+            if find_cudss() is not None:
+                self._cudss = CudssBatch(count, device)
+                self.name = self._cudss.name
+                return
+        self._direct = [make_solver() for _ in range(count)]
+        self.name = f"{self._direct[0].name} on the CPU" if device.startswith("cuda") else self._direct[0].name
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern; all have to be factorised again."""
