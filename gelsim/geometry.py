@@ -85,6 +85,18 @@ class TetMesh:
         return QuadraticSurface(self.rest_positions[used], local.reshape(faces.shape).astype(np.int32))
 
 
+@dataclass(frozen=True, eq=False)
+class PlanarMesh:
+    """A profile of six-node triangles: the half x ≥ 0 of a cross-section, turned about z or drawn along y."""
+
+    nodes: NDArray[np.float64]
+    """(r, z) or (x, z) [m], shape (N, 2); on the axis exactly 0."""
+    triangles: NDArray[np.int32]
+    """Node indices, shape (T, 6), counter-clockwise with x to the right and z up; none for a rigid object."""
+    groups: dict[str, NDArray[np.int32]] = field(default_factory=dict)
+    """Named sets of boundary edges (start, end, middle), each (E, 3), the solid on the left; as of `TetMesh`."""
+
+
 def tet_volumes(vertices: NDArray[np.float64], tets: NDArray[np.int32]) -> NDArray[np.float64]:
     """Signed volumes [m³] of straight tets, shape (T,), from the first four nodes of each."""
     a, b, c, d = (vertices[tets[:, i]] for i in range(4))

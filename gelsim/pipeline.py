@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
 from gelsim.scene import Scene
 from gelsim.scene_file import load_scene, scene_table
 from gelsim.units import MM
+
+if TYPE_CHECKING:
+    from gelsim.reductions import Reduction
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, total)."""
@@ -83,14 +86,21 @@ def press(
     with record.stage("import"):
         from gelsim import shapes
         from gelsim.fem import solve_press
-    symmetry = shapes.press_symmetry(scene)
-    record.choices["symmetry"] = sorted(symmetry)
+        from gelsim.reductions import choose_reduction
+    reduction = choose_reduction(scene)
+    symmetry = reduction.planes
+    record.choices["symmetry"] = reduction.kind if reduction.planar else sorted(symmetry)
+    record.choices["symmetry_reason"] = reduction.reason
+    record.choices["symmetry_force_error"] = reduction.error
     gel_material, object_materials = materials.gel_material(scene), materials.object_materials(scene)
     object_material, part_materials = object_materials.get("body"), list(object_materials.values())[1:]
     record.choices["gel_modulus_kpa"] = gel_material.youngs_modulus / 1e3
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     for name, material in list(object_materials.items())[1:]:
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
+    report = (lambda done, total: progress("press", done, total)) if progress else None
+    if reduction.planar:
+        return _press_profile(scene, reduction, gel_material, object_material, record, report, throw)
     gel, body, placement = _bodies(scene, symmetry, record)
     with record.stage("press"):
         return solve_press(
@@ -102,7 +112,36 @@ def press(
             object_material=object_material,
             part_materials=part_materials,
             device=device,
-            progress=(lambda done, total: progress("press", done, total)) if progress else None,
+            progress=report,
+            throw=throw,
+        )
+
+
+def _press_profile(
+    scene: Scene,
+    reduction: Reduction,
+    gel_material: materials.ElasticMaterial,
+    object_material: materials.ElasticMaterial | None,
+    record: Record,
+    progress: Callable[[int, int], None] | None,
+    throw: bool,
+) -> Deformation:
+    """The press as a profile."""
+    from gelsim import profiles
+    from gelsim.fem import solve_planar
+
+    with record.stage("mesh"):
+        gel, body = profiles.mesh_profiles(scene)
+        record.meshes |= {"gel": profiles.mesh_report(gel), "object": profiles.mesh_report(body)}
+    with record.stage("press"):
+        return solve_planar(
+            scene,
+            gel,
+            body,
+            gel_material=gel_material,
+            object_material=object_material,
+            depth_mm=None if reduction.kind == "axisymmetric" else scene.gel.size_mm[1],
+            progress=progress,
             throw=throw,
         )
 

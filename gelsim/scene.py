@@ -185,7 +185,8 @@ class Press:
     hold_s: float = 0.0
     """How long the object then stays where it is, while gel and object relax: one more recorded state."""
     symmetry: str = "auto"
-    """"auto": solve half or a quarter where object, gel and motion share mirror planes; "none": always the whole."""
+    """What is solved. "axisymmetric" | "plane-strain": a profile; "mirror": half or a quarter where object, gel and motion share mirror
+    planes; "none": the whole. "auto": the smallest of these whose own error is small (docs/mechanics.md)."""
 
 
 @dataclass(frozen=True)
@@ -323,7 +324,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "object.shape": ("flat", "hemisphere", "cylinder", "edge", "corner", "cone", "box", "frustum", "punch", "mesh"),
     "object.mesh_unit": tuple(MESH_UNITS),
     "object.law": materials.LAWS,
-    "press.symmetry": ("auto", "none"),
+    "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
     "markers.layout": ("grid", "none"),
     "render.mode": ("path", "direct"),
 }

@@ -55,7 +55,7 @@ def height(body: Body) -> float:
     return float(load_mesh(body).vertices[:, 2].max()) if body.shape == "mesh" else body.height_mm * MM
 
 
-def _profile(body: Body) -> tuple[Segment, ...]:
+def profile(body: Body) -> tuple[Segment, ...]:
     """The profile from the axis to the base, as (r, z) or (x, z) segments [m]."""
     h, r = body.height_mm * MM, body.radius_mm * MM
     half = _width(body) / 2
@@ -107,7 +107,8 @@ def shape_symmetry(body: Body) -> frozenset[str]:
 def press_symmetry(scene: Scene) -> frozenset[str]:
     """Mirror planes that object, gel and motion share, so that half or a quarter of both bodies is enough.
 
-    Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers do not count: they carry no forces.
+    press.symmetry = "none" forbids it. Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers do
+    not count: they carry no forces.
     """
     press = scene.press
     if press.symmetry == "none" or press.twist_deg:
@@ -132,7 +133,7 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
             del patches[3]
         hull = None
     else:
-        segments = _profile(body)
+        segments = profile(body)
         patches += _runs(segments, body.shape in TURNED)
         hull = _hull_points(segments, body, symmetry, step)
         if body.shape in DRAWN:
@@ -285,7 +286,7 @@ def project(body: Body, points: Array) -> Array:
     if body.shape == "corner":
         return project_polyhedron(solid(body), points)
     h = body.height_mm * MM
-    segments = _profile(body)
+    segments = profile(body)
     boundary = Sweep((*segments, Segment(segments[-1].end, (0.0, h))), body.shape in TURNED)
     if body.shape in TURNED:
         return boundary.project(points)

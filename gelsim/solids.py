@@ -12,7 +12,7 @@ Left out: solids that are not convex, fillets.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -229,13 +229,13 @@ def solid_surface(shape: Solid, edge_length: Sizes | float, chord: Sizes | float
         number = np.full(len(edges), -1)
         number[split] = len(vertices) + np.arange(int(split.sum()))
         vertices = np.vstack([vertices, middle[split]])
-        faces, patch = _bisected(faces, patch, index, longest, number)
+        faces, patch = bisected(faces, patch, index, longest, number)
         if len(faces) > 2_000_000:
             raise SceneError(f"the surface needs more than 2 million faces at edges of {np.min(sizes(vertices)) / MM:g} mm")
     return vertices, faces, patch
 
 
-def _bisected(faces, patch, index, longest, number):  # type: ignore[no-untyped-def]
+def bisected(faces, patch, index, longest, number):  # type: ignore[no-untyped-def]
     """Faces cut at their marked edges (number >= 0), the longest first."""
     start = np.argmax(index == longest[:, None], axis=1)
     turn = (start[:, None] + np.arange(3)) % 3
@@ -270,3 +270,40 @@ def project_polyhedron(shape: Solid, points: Array) -> Array:
             better = (away < distance) & (found @ normals.T <= offsets + 1e-12).all(axis=1)
             best[better], distance[better] = found[better], away[better]
     return best
+
+
+def refine(vertices: Array, faces: NDArray[np.int32], sizes: Sizes, arcs: Sequence[Segment] = ()) -> tuple[Array, NDArray[np.int32]]:
+    """Triangles of the plane, (V, 2) and (F, 3), bisected at their longest edges until each is as short as `sizes` says at its middle [m].
+
+    New points of boundary edges between two points of an arc go onto it.
+    """
+    for _ in range(60):
+        edges, index = edges_of(faces, FACE_EDGES)
+        middle = edge_middles(vertices, edges, index, arcs)
+        length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+        split = length > sizes(middle)
+        if not split.any():
+            return vertices, faces
+        # the longest edge goes first; the index breaks ties the same way on both sides
+        longest = index[np.arange(len(faces)), np.lexsort((index, np.round(length[index] * 1e12)), axis=1)[:, -1]]
+        while True:
+            more = split[index].any(axis=1) & ~split[longest]
+            if not more.any():
+                break
+            split[longest[more]] = True
+        number = np.full(len(edges), -1)
+        number[split] = len(vertices) + np.arange(int(split.sum()))
+        vertices = np.vstack([vertices, middle[split]])
+        faces, _ = bisected(faces, np.zeros(len(faces), np.int64), index, longest, number)
+    raise SceneError(f"a profile needs more than {len(faces)} triangles")
+
+
+def edge_middles(vertices: Array, edges: NDArray[np.int64], index: NDArray[np.int64], arcs: Sequence[Segment]) -> Array:
+    """Middles (E, 2) of edges of the plane, numbered by triangle in `index` (F, 3); those of boundary edges on an arc lie on it."""
+    middle = vertices[edges].mean(axis=1)
+    outer = np.flatnonzero(np.bincount(index.ravel(), minlength=len(edges)) == 1)
+    for arc in arcs:
+        ends = vertices[edges[outer]].reshape(-1, 2)
+        on = (np.linalg.norm(arc.project(ends)[0] - ends, axis=1) < 1e-9).reshape(-1, 2).all(axis=1)
+        middle[outer[on]] = arc.project(middle[outer[on]])[0]
+    return middle

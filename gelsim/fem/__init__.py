@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.geometry import QuadraticSurface, TetMesh
+from gelsim.geometry import PlanarMesh, QuadraticSurface, TetMesh
 from gelsim.materials import ElasticMaterial
 from gelsim.results import Deformation, PressSensitivity
 from gelsim.scene import Scene
@@ -121,3 +121,32 @@ def differentiate_press(
     first = of_object[0] if of_object else None
     problem = PressProblem(scene, gel, body, placement, of_gel, first, "cpu", part_materials=of_object[1:])
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
+
+
+def solve_planar(
+    scene: Scene,
+    gel: PlanarMesh,
+    body: PlanarMesh,
+    *,
+    gel_material: ElasticMaterial,
+    object_material: ElasticMaterial | None,
+    depth_mm: float | None,
+    progress: Callable[[int, int], None] | None = None,
+    throw: bool = True,
+) -> Deformation:
+    """Solves a press that reduces to a plane; what comes back is the whole body's. Always on the CPU: it is too small for a GPU.
+
+    Args:
+        gel, body: Profiles as they just touch; a rigid body's has edges only.
+        depth_mm: Length along y in plane strain; None for bodies of revolution.
+    Raises:
+        SolveError: As `solve_press`.
+    """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from gelsim.fem.planar.problem import PlanarProblem
+    from gelsim.fem.quasistatic import run_press
+
+    problem = PlanarProblem(scene, gel, body, gel_material, object_material, depth_mm)
+    return run_press(problem, progress=progress, throw=throw)

@@ -41,6 +41,7 @@ from gelsim.fem.hyperelastic import (
     volume_change,
 )
 from gelsim.fem.pattern import PairPattern, add_entry, element_pairs, pair_offset
+from gelsim.fem.planar.elements import PlanarQuadrature
 from gelsim.fem.viscoelastic import Memory
 from gelsim.materials import OGDEN_TERMS
 
@@ -361,15 +362,18 @@ class Solids:
         pressures: The nodes that carry each tet's pressure, (T, 4); left out, its vertices. `split_pressures` makes others.
     """
 
-    def __init__(self, rest: Array, tets: NDArray[np.int32], quadrature: TetQuadrature, law: Array, kappa: Array,
+    kernels = staticmethod(element_kernels)
+
+    def __init__(self, rest: Array, tets: NDArray[np.int32], quadrature: TetQuadrature | PlanarQuadrature, law: Array, kappa: Array,
                  fixed: NDArray[np.bool_], device: str, pressures: NDArray[np.int32] | None = None) -> None:  # fmt: skip
         self.device, self.rest, self.tets = device, rest, tets
         self.node_count = len(rest)
         in_solid = np.zeros(self.node_count, bool)
         in_solid[tets] = True
         vertex = np.zeros(self.node_count, bool)
-        split = pressures is not None and not np.array_equal(pressures, tets[:, :4])
-        pressures = pressures if split else tets[:, :4]
+        vertices = tets[:, : quadrature.pressure_shape.shape[1]]
+        split = pressures is not None and not np.array_equal(pressures, vertices)
+        pressures = pressures if split else vertices
         vertex[pressures] = True
         cells = np.hstack([tets, pressures])
         self.free = np.concatenate([~fixed & in_solid[:, None], vertex[:, None]], axis=1)
@@ -385,7 +389,7 @@ class Solids:
             return wp.array(data, dtype=dtype, device=device)
 
         ogden = law.shape[1] == 2 * OGDEN_TERMS
-        self._residual, self._tangent = element_kernels(quadrature.weights.shape[1], "ogden" if ogden else "cubic")
+        self._residual, self._tangent = self.kernels(quadrature.weights.shape[1], "ogden" if ogden else "cubic")
         self._quadrature = quadrature
         self.rest_positions = array(rest, wp.vec3d)
         self.displacement = wp.zeros(self.node_count, dtype=wp.vec3d, device=device)

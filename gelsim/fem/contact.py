@@ -83,6 +83,9 @@ class ContactLaw:
 class SurfaceContact:
     """The gel's faces against the object's, with the state of the current iterate. Positions are given in mm."""
 
+    CORNERS = 3
+    """Vertices of a face; its other nodes are in the middle of its sides."""
+
     def __init__(self, gel_faces: NDArray[np.int32], object_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
                  points: int = 6, symmetry: frozenset[str] = frozenset()) -> None:  # fmt: skip
         self.law, self.device, self.points = law, device, points
@@ -177,6 +180,10 @@ class SurfaceContact:
     def frictional(self) -> bool:
         return self.law.friction != 0.0
 
+    def _object_shape(self, xi: Array) -> Array:
+        """Shape functions of the object's faces at places ξ (K, 2)."""
+        return tri6_shape(np.column_stack([1 - xi.sum(1), xi]))
+
     def _launch(self, kernel: wp.Kernel, *inputs: object) -> None:
         """One thread a quadrature point; every kernel begins with the gel's faces and their shape functions."""
         wp.launch(kernel, len(self.weight), [self.slave, self.shape, self.layout, *inputs], device=self.device)
@@ -266,8 +273,7 @@ class SurfaceContact:
                          equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:  # fmt: skip
         """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place ξ on an object's face)."""
         nodes = np.concatenate([self.gel_faces[points // self.points], self.object_faces[face]], axis=1)
-        there = tri6_shape(np.column_stack([1 - xi.sum(1), xi]))
-        weights = np.concatenate([self.shape_values[points % self.points], -there], axis=1)
+        weights = np.concatenate([self.shape_values[points % self.points], -self._object_shape(xi)], axis=1)
         columns = equation[nodes, :3]
         values = weights[:, :, None] * vector[:, None, :]
         free = columns >= 0
@@ -289,7 +295,7 @@ class SurfaceContact:
         held = np.flatnonzero((anchor >= 0) & (self.traction.numpy() != 0.0).any(axis=1))
         xi = self.anchor_xi.numpy()[held]
         place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.gel_faces[held // self.points]])
-        touched = np.einsum("qn,qni->qi", tri6_shape(np.column_stack([1 - xi.sum(1), xi])), now[self.object_faces[anchor[held]]])
+        touched = np.einsum("qn,qni->qi", self._object_shape(xi), now[self.object_faces[anchor[held]]])
         along = place - touched
         found = np.zeros((len(anchor), 3))
         found[held] = along - (along * normal[held]).sum(axis=1, keepdims=True) * normal[held]
@@ -360,15 +366,15 @@ class SurfaceContact:
         length = np.diff(ring_start)[pairs[:, 1]]
         slave = np.repeat(pairs[:, 0], length)
         master = ring[np.repeat(ring_start[pairs[:, 1]] - np.concatenate([[0], np.cumsum(length)[:-1]]), length) + np.arange(length.sum())]
-        gel = np.repeat(self.gel_faces[slave], 6, axis=1).ravel()
-        body = np.tile(self.object_faces[master], (1, 6)).ravel()
+        gel = np.repeat(self.gel_faces[slave], self.object_faces.shape[1], axis=1).ravel()
+        body = np.tile(self.object_faces[master], (1, self.gel_faces.shape[1])).ravel()
         return gel, body
 
     def _rings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """For every object face the faces that share a vertex with it, itself included, as CSR arrays."""
         if not hasattr(self, "_ring_cache"):
-            corners = self.object_faces[:, :3]
-            rows = np.repeat(np.arange(len(corners)), 3)
+            corners = self.object_faces[:, : self.CORNERS]
+            rows = np.repeat(np.arange(len(corners)), self.CORNERS)
             incidence = sp.csr_matrix((np.ones(rows.size, np.int8), (rows, corners.ravel())))
             adjacency = (incidence @ incidence.T).tocsr()
             self._ring_cache = (adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64))

@@ -111,6 +111,10 @@ class TetQuadrature:
     pressure_shape: Array
     """Linear shape functions at the points, shape (Q, 4)."""
 
+    def displacement_gradient(self, displacement: Array) -> Array:
+        """∂u/∂X at the points, (T, Q, 3, 3), of displacements at the tets' nodes, (T, 10, 3)."""
+        return np.einsum("tni,tqnj->tqij", displacement, self.gradients, optimize=True)
+
 
 def tet_quadrature_data(mesh: TetMesh, points: int) -> TetQuadrature:
     """Rest gradients of a mesh. Raises MeshingError where the mapping folds over."""

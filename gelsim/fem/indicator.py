@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.fem.elements import TetQuadrature, tri6_gradient
+from gelsim.fem.planar.elements import PlanarQuadrature
 
 Array = NDArray[np.float64]
 
@@ -27,22 +28,22 @@ MEMBRANE_ERROR_PER_KINK = 0.25
 MOVING = 0.05
 
 
-def stress_jump(tets: NDArray[np.int32], quadrature: TetQuadrature, shear: Array, displacement: Array, regions: NDArray[np.int32]) -> float:
+def stress_jump(tets: NDArray[np.int32], quadrature: TetQuadrature | PlanarQuadrature, shear: Array, displacement: Array,
+                regions: NDArray[np.int32]) -> float:  # fmt: skip
     """η² of a state.
 
     Args:
-        tets: (T, 10), with their `quadrature`.
+        tets: (T, 10), or triangles (T, 6) of the plane, with their `quadrature`.
         shear: Small-strain shear modulus of each tet, (T,). Other laws are judged by the neo-Hookean stress of their deformation.
         displacement: Of all nodes, (N, 3), in the unit of the quadrature's lengths.
         regions: Of which material each tet is, (T,): stress may jump between two, so each has averages of its own.
     """
-    gradients, weights, shape = quadrature.gradients, quadrature.weights, quadrature.pressure_shape
-    h = np.einsum("tni,tqnj->tqij", displacement[tets], gradients, optimize=True)
-    f = np.eye(3) + h
+    weights, shape = quadrature.weights, quadrature.pressure_shape
+    f = np.eye(3) + quadrature.displacement_gradient(displacement[tets])
     b = f @ np.swapaxes(f, -1, -2) * np.linalg.det(f)[..., None, None] ** (-2 / 3)
     deviator = b - np.trace(b, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
     tau = shear[:, None, None, None] * deviator
-    vertices = regions[:, None] * len(displacement) + tets[:, :4]
+    vertices = regions[:, None] * len(displacement) + tets[:, : shape.shape[1]]
     # vertex averages, each point counting with its volume and its nearness
     share = weights[..., None] * shape
     count = (int(regions.max()) + 1) * len(displacement)
@@ -50,7 +51,7 @@ def stress_jump(tets: NDArray[np.int32], quadrature: TetQuadrature, shear: Array
     moment = np.einsum("tqa,tqij->taij", share, tau, optimize=True).reshape(-1, 9)
     average = np.stack([np.bincount(vertices.ravel(), moment[:, c], count) for c in range(9)], 1)
     average /= np.where(total > 0, total, 1.0)[:, None]
-    recovered = np.einsum("qa,taij->tqij", shape, average[vertices].reshape(-1, 4, 3, 3), optimize=True)
+    recovered = np.einsum("qa,taij->tqij", shape, average[vertices].reshape(*vertices.shape, 3, 3), optimize=True)
     scale = weights / (2 * shear[:, None])
     jump = (scale * ((recovered - tau) ** 2).sum((-2, -1))).sum()
     return float(jump / max((scale * (tau**2).sum((-2, -1))).sum(), 1e-300))

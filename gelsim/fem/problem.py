@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from gelsim.fem.viscoelastic import Memory, prony_arrays
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.materials import OGDEN_TERMS, ElasticMaterial
 from gelsim.scene import Scene
+
+if TYPE_CHECKING:
+    from gelsim.fem.recording import Recorder
 
 Array = NDArray[np.float64]
 MM = 1e3  # solver lengths are millimetres
@@ -44,7 +48,7 @@ class PressProblem:
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
                  part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
                  tolerance: float | None = None) -> None:  # fmt: skip
-        self.scene, self.gel, self.body = scene, gel, body
+        self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
         n = len(gel_rest)
@@ -115,6 +119,12 @@ class PressProblem:
     def linear_solver(self) -> str:
         """Name of what solves its equations, for the report."""
         return self.newton.system.direct.name
+
+    def record(self) -> Recorder:
+        """What keeps its states."""
+        from gelsim.fem.recording import Recorder  # which knows this module
+
+        return Recorder(self)
 
     def reset(self) -> None:
         """Back to rest, with nothing remembered of contact."""

@@ -25,7 +25,6 @@ from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import MM, PressProblem
-from gelsim.fem.recording import Recorder
 from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
 from gelsim.scene import Press, Scene
@@ -126,7 +125,7 @@ class _March:
 
     def __init__(self, problem: PressProblem, press: Press, depth: float) -> None:
         self.problem, self.press, self.depth = problem, press, depth
-        self.recorder, self.energy = Recorder(problem), EnergyBalance(problem)
+        self.recorder, self.energy = problem.record(), EnergyBalance(problem)
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
         self._previous: _State | None = None

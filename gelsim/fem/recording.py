@@ -33,7 +33,7 @@ class Recorder:
         """Records the present state, at an approach [m]; the counts are since the last one."""
         problem = self.problem
         now = time.perf_counter()
-        area, pressure = _area_and_pressure(problem)
+        area, pressure = self._contact()
         self.approach.append(approach)
         self._force.append(problem.contact_force())
         self._pressure.append(pressure)
@@ -53,18 +53,8 @@ class Recorder:
     def deformation(self, status: SolveStatus, message: str, steps_halved: int) -> Deformation:
         """Everything kept so far, reflected to the whole body."""
         problem = self.problem
-        gel, body = problem.gel, problem.body
         everything = np.array(self._displacement)
-        coated = np.unique(gel.groups["coated"])
-        pressure = np.array(self._pressure)[:, coated]
-        gel_motion, pressure = _whole(gel.surface("coated"), everything[:, coated], pressure, gel.symmetry)
-        if isinstance(body, TetMesh):
-            used, local = np.unique(body.groups["contact"]), body.surface("contact")
-        else:
-            used, local = np.arange(len(body.nodes)), body
-        nodes = problem.object_nodes[used]
-        placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
-        object_motion, _ = _whole(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
+        gel_motion, object_motion, pressure = self._surfaces(everything)
         # of the last state kept: after a failure the solids hold that one again
         jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
         kink = surface_kink(gel.rest_positions, gel.groups["coated"], everything[-1])
@@ -83,8 +73,8 @@ class Recorder:
             info={
                 "unknowns": problem.solids.unknowns,
                 "steps_halved": steps_halved,
-                "symmetry": sorted(gel.symmetry),
-                "rigid_object": not isinstance(body, TetMesh),
+                "symmetry": self._symmetry(),
+                "rigid_object": problem.object_material is None,
                 "linear_solver": problem.linear_solver,
                 "factorisations": int(numbers["linear_iterations"].sum()),
                 "stress_jump": jump,
@@ -92,6 +82,28 @@ class Recorder:
             },
             **numbers,
         )
+
+    def _contact(self) -> tuple[float, Array]:
+        return _area_and_pressure(self.problem)
+
+    def _symmetry(self) -> object:
+        return sorted(self.problem.gel.symmetry)
+
+    def _surfaces(self, everything: Array) -> tuple[SurfaceMotion, SurfaceMotion, Array]:
+        """Motion of the gel's outer face and of the object's, and the pressure at the gel's nodes, all of the whole body."""
+        problem = self.problem
+        gel, body = problem.gel, problem.body
+        coated = np.unique(gel.groups["coated"])
+        pressure = np.array(self._pressure)[:, coated]
+        gel_motion, pressure = whole_surface(gel.surface("coated"), everything[:, coated], pressure, gel.symmetry)
+        if isinstance(body, TetMesh):
+            used, local = np.unique(body.groups["contact"]), body.surface("contact")
+        else:
+            used, local = np.arange(len(body.nodes)), body
+        nodes = problem.object_nodes[used]
+        placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
+        object_motion, _ = whole_surface(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
+        return gel_motion, object_motion, pressure
 
 
 def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
@@ -130,7 +142,7 @@ def _hats(bary: Array) -> Array:
     return values
 
 
-def _whole(surface: QuadraticSurface, displacement: Array, scalar: Array, symmetry: frozenset[str]) -> tuple[SurfaceMotion, Array]:
+def whole_surface(surface: QuadraticSurface, displacement: Array, scalar: Array, symmetry: frozenset[str]) -> tuple[SurfaceMotion, Array]:
     """A surface with its displacement (N, G, 3) and a scalar field (N, G), reflected at the symmetry planes."""
     for axis in sorted(symmetry):
         column = "xy".index(axis)
