@@ -84,7 +84,6 @@ def press(
     if scene.target_error is not None or scene.target_membrane_um is not None:
         return _press_to_target(scene, device, progress, record, throw)
     with record.stage("import"):
-        from gelsim import shapes
         from gelsim.fem import solve_press
         from gelsim.reductions import choose_reduction
     reduction = choose_reduction(scene)

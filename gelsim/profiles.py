@@ -25,7 +25,7 @@ from gelsim.sizing import OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField
 from gelsim.solids import Array, Segment, Sizes, edge_middles, refine
 from gelsim.units import MM
 
-FINER = 2.0
+FINER = 1.5
 """Edges of a solid's mesh over those of a profile."""
 _MARGIN = 0.1 * MM
 """Beyond the overlap, as fine as in it."""

@@ -6,8 +6,8 @@
   With b the distance from the undeformed overlap to the nearest border and T the gel's thickness, the force on inscribed and circumscribed
   discs of a square differs from that by less than 4 exp(-2 b/T) (rigid balls and soft hemispheres of R = 5 to 50 mm, flat gels of 2.4 and
   5 mm, presses of 0.5 and 1 mm: docs/mechanics.md); the square lies between the two.
-- **plane strain**: a straight profile as long as the gel. Its ends are free, and the gel's: the pressure falls off there, over a length that
-  does not grow with the body's, so the error is as measured on 25 mm against solids, times 25 mm over the length.
+- **plane strain**: a straight profile as long as the gel. Its ends are free, and the gel's: the pressure falls off there over a length that
+  does not grow with the bodies', so the error is as measured on 25 mm against solids, times 25 mm over the length.
 
 Left out: twist and tangential travel in the plane, bodies of several materials, viscosity.
 """

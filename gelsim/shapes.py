@@ -107,8 +107,8 @@ def shape_symmetry(body: Body) -> frozenset[str]:
 def press_symmetry(scene: Scene) -> frozenset[str]:
     """Mirror planes that object, gel and motion share, so that half or a quarter of both bodies is enough.
 
-    press.symmetry = "none" forbids it. Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers do
-    not count: they carry no forces.
+    press.symmetry = "none" forbids it. Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers
+    do not count: they carry no forces.
     """
     press = scene.press
     if press.symmetry == "none" or press.twist_deg:

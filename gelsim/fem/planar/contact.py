@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 
 NEAR = 0.1
 """[mm] within which a point keeps its edge."""
-_PROJECTIONS = 6
-"""Gauss-Newton steps to the closest point of an edge."""
+_STEPS, _CLAMPED_STEPS = 3, 6
+"""Gauss-Newton steps to the closest point of an edge, from that of the last iterate and from its middle."""
 
 
 class EdgeContact(SurfaceContact):
@@ -255,11 +255,15 @@ class EdgeContact(SurfaceContact):
 
 def _feet(place: Array, edges: Array, start: Array, clamp: bool) -> tuple[Array, Array]:
     """ξ (K,) of the closest points on edges (K, 3, 2), and the offsets from there to the places (K, 2)."""
+    first, last, middle = edges[:, 0], edges[:, 1], edges[:, 2]
+    away, slope, bend = place - first, 4 * middle - 3 * first - last, 2 * (first + last) - 4 * middle  # y = first + ξ slope + ξ² bend
     xi = start.copy()
-    for _ in range(_PROJECTIONS):
-        along = np.einsum("pn,pni->pi", edge_gradient(xi), edges)
-        offset = place - np.einsum("pn,pni->pi", edge_shape(xi), edges)
-        xi = xi + (offset * along).sum(1) / (along**2).sum(1)
+    for _ in range(_CLAMPED_STEPS if clamp else _STEPS):
+        at = xi[:, None]
+        along = slope + 2 * at * bend
+        offset = away - at * (slope + at * bend)
+        xi = xi + (offset * along).sum(1) / (along * along).sum(1)
         if clamp:
             xi = np.clip(xi, 0.0, 1.0)
-    return xi, place - np.einsum("pn,pni->pi", edge_shape(xi), edges)
+    at = xi[:, None]
+    return xi, away - at * (slope + at * bend)
