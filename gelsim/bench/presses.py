@@ -14,9 +14,9 @@ from gelsim.fem.quasistatic import run_press
 from gelsim.results import Deformation
 from gelsim.scene_file import build_scene
 
-# The gel of the reference solutions: flat, 50 kPa; no friction, 1 mm of approach in ten steps.
+# The gel of the reference solutions: flat, 50 kPa; no friction, 1 mm of approach in ten steps, as solids ("auto" would take a profile).
 REFERENCE_GEL: Layer = {"profile": "flat", "youngs_modulus_kpa": 50.0}
-REFERENCE_PRESS: Layer = {"depth_mm": 1.0, "force_n": "none", "frames": 11}
+REFERENCE_PRESS: Layer = {"depth_mm": 1.0, "force_n": "none", "frames": 11, "symmetry": "mirror"}
 SMOOTH: Layer = {"friction_coefficient": 0.0}
 
 

@@ -97,6 +97,15 @@ def test_laws_run_through() -> None:
     assert same.force[-1, 2] == pytest.approx(plain.force[-1, 2], rel=1e-5)
 
 
+@pytest.mark.parametrize("shape", ["cone", "frustum", "punch"])
+def test_sharp_tips_and_rims_are_survived(shape: str) -> None:
+    """A cone begins with no point in contact at all; rims cut in. Overlap is what linear multipliers leave at a rim."""
+    scene = Scene(object=Body(shape=shape, radius_mm=3.0), press=Press(depth_mm=0.8, frames=5), fidelity="fast")
+    _, press = press_of(scene)
+    assert press.converged.all() and len(press.approach) == 5 and press.min_jacobian.min() > 0.1
+    assert (np.diff(-press.force[:, 2]) > 0).all() and press.penetration.max() < 10e-6
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("body", [Body(shape="hemisphere", youngs_modulus_kpa=200.0), Body(shape="cone", youngs_modulus_kpa=200.0)])
 def test_profile_against_the_quarter_of_a_square(body: Body) -> None:

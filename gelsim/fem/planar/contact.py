@@ -195,7 +195,7 @@ class EdgeContact(SurfaceContact):
         contra = along / (along**2).sum(1, keepdims=True)
 
         def spread(coefficient: Array, vector: Array) -> Array:
-            return (coefficient[:, :, None] * vector[:, None, :]).reshape(len(coefficient), -1)
+            return (coefficient[:, :, None] * vector[:, None, :]).reshape(len(coefficient), 12)
 
         g, t, n = spread(share, normal), spread(share, contra), spread(drawn, normal)
         weight = self.rest_weight[active]
