@@ -133,7 +133,7 @@ def _press_profile(
         gel, body = profiles.mesh_profiles(scene)
         record.meshes |= {"gel": profiles.mesh_report(gel), "object": profiles.mesh_report(body)}
     with record.stage("press"):
-        return solve_planar(
+        press = solve_planar(
             scene,
             gel,
             body,
@@ -143,6 +143,10 @@ def _press_profile(
             progress=progress,
             throw=throw,
         )
+    estimate = press.info["error_estimate"]
+    assert isinstance(estimate, dict)
+    estimate["force"] += reduction.error
+    return press
 
 
 def _press_to_target(scene: Scene, device: str, progress: Progress | None, record: Record, throw: bool) -> Deformation:

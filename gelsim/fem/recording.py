@@ -57,7 +57,7 @@ class Recorder:
         gel_motion, object_motion, pressure = self._surfaces(everything)
         # of the last state kept: after a failure the solids hold that one again
         jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
-        kink = surface_kink(gel.rest_positions, gel.groups["coated"], everything[-1])
+        kink = self._kink(everything[-1])
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
             numbers[name] = numbers[name].astype(np.int32)
@@ -85,6 +85,10 @@ class Recorder:
 
     def _contact(self) -> tuple[float, Array]:
         return _area_and_pressure(self.problem)
+
+    def _kink(self, displacement: Array) -> float:
+        gel = self.problem.gel
+        return surface_kink(gel.rest_positions, gel.groups["coated"], displacement)
 
     def _symmetry(self) -> object:
         return sorted(self.problem.gel.symmetry)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.fem.indicator import MOVING
 from gelsim.fem.planar.elements import edge_gradient, edge_quadrature, edge_shape
 from gelsim.fem.planar.problem import PlanarProblem
 from gelsim.fem.problem import KPA, MM
@@ -49,6 +50,20 @@ class PlanarRecorder(Recorder):
         top = np.bincount(nodes, (weight * pressure.reshape(weight.shape) @ hats).ravel(), count)
         bottom = np.bincount(nodes, (weight @ hats).ravel(), count)
         return float(area), top / np.where(bottom > 0, bottom, 1.0) / KPA
+
+    def _kink(self, displacement: Array) -> float:
+        """`indicator.surface_kink` of the profile: mean edge length times the jump of du_z/dx at its vertices, root mean square [m]."""
+        profile = self.problem.gel
+        assert isinstance(profile, PlanarMesh)
+        line = _line(profile)
+        place, up = profile.nodes[line, 0], displacement[line, 2]
+        length = np.diff(place[::2])
+        first, last, middle = up[:-2:2], up[2::2], up[1::2]
+        begin, end = (4 * middle - 3 * first - last) / length, (first + 3 * last - 4 * middle) / length
+        across = (end[:-1] - begin[1:]) * 0.5 * (length[:-1] + length[1:])
+        share = (length[:-1] + length[1:]) * (place[2:-1:2] if self.problem.turned else 1.0)
+        share = np.where(np.abs(up[2:-1:2]) > MOVING * np.abs(up).max(), share, 0.0)
+        return float(np.sqrt((share * across**2).sum() / max(share.sum(), 1e-300)))
 
     def _symmetry(self) -> object:
         return "axisymmetric" if self.problem.turned else "plane-strain"
