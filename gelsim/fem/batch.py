@@ -64,7 +64,6 @@ class Costs:
     """Of one scene's upper triangle."""
     factor_entries: int = 0
     """Of one scene's factor, 0 where the solver does not say."""
-    factor_flops: float = 0.0
     element_bytes: int = 0
     """What an assembly reads of one scene's elements."""
 
@@ -310,7 +309,7 @@ class _Batch:
         self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))
         if self.costs is not None:
             self.costs.unknowns, self.costs.matrix_entries = self.unknowns, len(self.pattern.indices)
-            self.costs.factor_entries, self.costs.factor_flops = self.system.factor_entries, self.system.factor_flops
+            self.costs.factor_entries = self.system.factor_entries
             self.costs.element_bytes = self._single.element_bytes
 
     @contextmanager

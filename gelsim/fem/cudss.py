@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 # cudss.h and cudss_data_types.h of version 0.8 and 1.0; 32-bit indices and 64-bit reals by CUDA's library_types.h
 _PIVOT_TYPE, _UBATCH_SIZE, _PIVOT_NONE = 7, 18, 1
-_LU_NNZ, _UBATCH_MASK, _FLOPS = 1, 25, 26
+_LU_NNZ, _UBATCH_MASK = 1, 25
 _ANALYSIS, _FACTORIZATION, _REFACTORIZATION, _SOLVE = 3, 4, 8, 1008
 _REAL_64, _INT_32 = 1, 10
 _SYMMETRIC, _UPPER, _BASE_ZERO, _COLUMN_MAJOR = 1, 2, 0, 0
@@ -81,10 +81,9 @@ class CudssBatch:
         self._point(values, vector, vector)
         self._execute(_ANALYSIS)
         self._factored = False
-        entries, flops, written = c_int64(0), ctypes.c_double(0.0), c_size_t(0)
-        for parameter, number in ((_LU_NNZ, entries), (_FLOPS, flops)):
-            self._call("cudssDataGet", self._handle, self._data, c_int(parameter), ctypes.byref(number), c_size_t(8), ctypes.byref(written))
-        self.factor_entries, self.factor_flops = int(entries.value), float(flops.value)
+        entries, written = c_int64(0), c_size_t(0)
+        self._call("cudssDataGet", self._handle, self._data, c_int(_LU_NNZ), ctypes.byref(entries), c_size_t(8), ctypes.byref(written))
+        self.factor_entries = int(entries.value)
 
     def factorise(self, values: wp.array, which: NDArray[np.bool_]) -> None:
         self._values = values

@@ -216,13 +216,12 @@ class SymmetricSystem:
 class BatchedSystem:
     """Solves many symmetric systems with one pattern: on CUDA by cuDSS, all in one call; without it one after the other on the CPU.
 
-    Attributes: `factored`, of each system whether `solve` may be asked for; `factor_entries` and
-    `factor_flops` of one factorisation, 0 where they are not known.
+    Attributes: `factored`, of each system whether `solve` may be asked for; `factor_entries` of
+    one factor, 0 where they are not known.
     """
 
     def __init__(self, count: int, device: str) -> None:
         self.count, self.factored, self.factor_entries = count, np.zeros(count, bool), 0
-        self.factor_flops = 0.0
         self._cudss = None
         if device.startswith("cuda"):
             from gelsim.fem.cudss import CudssBatch, find_cudss
@@ -239,7 +238,7 @@ class BatchedSystem:
         self.factored[:] = False
         if self._cudss is not None:
             self._cudss.analyse(indptr, indices)
-            self.factor_entries, self.factor_flops = self._cudss.factor_entries, self._cudss.factor_flops
+            self.factor_entries = self._cudss.factor_entries
             return
         for direct in self._direct:
             direct.analyse(indptr, indices, np.zeros(len(indices)))
