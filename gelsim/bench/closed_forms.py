@@ -75,7 +75,7 @@ def _share(value: float) -> str:
 
 
 def _remarks(rows: list[Row]) -> str:
-    missed = [row["name"] for row in rows if row["verdict"] not in ("met", "seen, as it must be")]
+    missed = [row["name"] for row in rows if row.get("verdict") not in ("met", "seen, as it must be")]
     return f"{len(rows) - len(missed)} of {len(rows)} within their bounds." + (f" Not: {'; '.join(missed)}." if missed else "")
 
 

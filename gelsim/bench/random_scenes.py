@@ -64,13 +64,13 @@ def draw(index: int) -> Layer:
 def _cases(options: Options) -> Iterator[Case]:
     bounded = Bounded(measure_drawn, SECONDS, MEMORY)
     for index in range(QUICK_COUNT if options.quick else COUNT):
-        yield Case(f"{index:03d}", lambda index=index: bounded(index), draw(index))
+        scene = draw(index)
+        named: Row = {"shape": scene["object"]["shape"], "said": _said(scene)}
+        yield Case(f"{index:03d}", lambda index=index, named=named: named | bounded(index), scene)
 
 
 def measure_drawn(index: int) -> Row:
-    scene = draw(index)
-    row = presses.measure(scene)
-    return row | {"shape": scene["object"]["shape"], "said": _said(scene)}
+    return presses.measure(draw(index))
 
 
 def _said(scene: Layer) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
-from gelsim.errors import SceneError, SolveStatus
+from gelsim.errors import GelsimError, SceneError, SolveStatus
 
 RESULTS = "results.jsonl"
 
@@ -55,7 +55,11 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
         key = f"{name}/{case.name}"
         if key in known or (limit is not None and fresh >= limit):
             continue
-        row = {"key": key, "section": name, "name": case.name} | case.measure()
+        row: Row = {"key": key, "section": name, "name": case.name}
+        try:
+            row |= case.measure()
+        except GelsimError as error:  # one case that cannot be is no reason to leave the others
+            row |= {"status": type(error).__name__, "message": str(error)}
         fresh += 1
         row["load"] = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
         known[key] = row

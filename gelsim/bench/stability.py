@@ -18,7 +18,7 @@ from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.errors import SolveStatus
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
-from gelsim.geometry import TET_EDGES, TetMesh, outer_faces, tet_quality, tet_volumes
+from gelsim.geometry import TET_EDGES, TetMesh, jacobian_determinants, outer_faces, tet_quality, tet_volumes
 from gelsim.scene_file import build_scene
 
 _SOLIDS: Layer = {"frames": 6, "symmetry": "mirror"}
@@ -160,8 +160,15 @@ def spoil(mesh: TetMesh, rng: np.random.Generator) -> TetMesh:
                 best, poorest = nodes[vertex].copy(), quality
         nodes[vertex] = best
         shift[vertex] = nodes[vertex] - before
-    for a, b, middle in ((*tets[:, edge].T, tets[:, 4 + k]) for k, edge in enumerate(TET_EDGES)):
-        nodes[middle] = mesh.rest_positions[middle] + 0.5 * (shift[a] + shift[b])
+    while True:  # curved tets may fold where straight ones do not: their inner vertices go back
+        nodes = mesh.rest_positions + shift
+        for edge, middle in zip(TET_EDGES, tets[:, 4:].T, strict=True):
+            nodes[middle] = mesh.rest_positions[middle] + 0.5 * shift[tets[:, edge]].sum(axis=1)
+        size = jacobian_determinants(nodes, tets)
+        folded = tets[size.min(axis=1) < 0.05 * np.abs(size).max(axis=1), :4]
+        if not shift[folded].any():
+            break
+        shift[folded] = 0.0
     return TetMesh(nodes, tets, mesh.groups, mesh.symmetry)
 
 
