@@ -62,7 +62,8 @@ def solve(case: str, level: str, folder: Path) -> dict[str, Any]:
     path = folder / f"{case.replace(' ', '_').replace(',', '')}_{level}.npz"
     if not path.exists():
         sizing.SIZES["reference"] = TRUTH if level == "truth" else REFERENCE
-        press = pipeline.press(build_scene(CASES[case] | {"fidelity": "reference" if level == "truth" else level}))
+        fidelity = "reference" if level == "truth" else level
+        press = pipeline.press(build_scene(CASES[case] | {"press": CASES[case]["press"] | {"symmetry": "mirror"}, "fidelity": fidelity}))
         half = press.gel.rest[:, :2].max() - 1e-9
         line = np.linspace(-half, half, 121)
         points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)

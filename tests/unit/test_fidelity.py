@@ -111,7 +111,7 @@ def test_a_press_meets_its_target() -> None:
         gel=Gel(profile="flat", youngs_modulus_kpa=50.0),
         object=Body(shape="hemisphere", radius_mm=5.0, height_mm=10.0, rigid=True),
         contact=Contact(friction_coefficient=0.0),
-        press=Press(depth_mm=1.0, force_n=None, frames=3),
+        press=Press(depth_mm=1.0, force_n=None, frames=3, symmetry="mirror"),
         target_error=0.02,
     )
     record = pipeline.Record()
