@@ -216,6 +216,35 @@ def is_closed(faces: NDArray[np.int32]) -> bool:
     return len(np.unique(there)) == len(there) and np.array_equal(np.sort(there), np.sort(back))
 
 
+def winding_numbers(points: NDArray[np.float64], surface: TriMesh) -> NDArray[np.float64]:
+    """How often a closed surface of flat faces winds around each point, (N,): 1 inside, 0 outside; its solid angle over 4π.
+
+    Solid angles of triangles by Van Oosterom and Strackee (1983).
+    """
+    corners = surface.vertices[surface.faces]
+    total = np.empty(len(points))
+    for start in range(0, len(points), 256):  # some 10 MB at a time
+        a, b, c = (corners[None, :, i] - points[start : start + 256, None] for i in range(3))
+        la, lb, lc = (np.sqrt(np.einsum("nfi,nfi->nf", v, v)) for v in (a, b, c))
+        top = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        ab, bc, ca = (np.einsum("nfi,nfi->nf", v, w) for v, w in ((a, b), (b, c), (c, a)))
+        total[start : start + 256] = np.arctan2(top, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=1)
+    return total / (2 * np.pi)
+
+
+def region_volumes(mesh: TetMesh) -> NDArray[np.float64]:
+    """Volume [m³] of each region, (highest region + 1,), by the rule of `volume`."""
+    each = jacobian_determinants(mesh.rest_positions, mesh.tets)[:, 4:].sum(axis=1) / 24.0
+    return np.asarray(np.bincount(mesh.regions, each), np.float64)
+
+
+def interface_faces(tets: NDArray[np.int32], inside: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The six-node faces between the tets (T, 10) marked in `inside` (T,) and the others, outward of the former, (F, 6)."""
+    outside = {tuple(face) for face in np.sort(outer_faces(tets)[:, :3], axis=1).tolist()}
+    faces = outer_faces(tets[inside]) if inside.any() else np.zeros((0, 6), np.int32)
+    return faces[[tuple(sorted(face)) not in outside for face in faces[:, :3].tolist()]].reshape(-1, 6)
+
+
 def enclosed_volume(surface: TriMesh) -> float:
     """Volume [m³] inside a closed surface of flat faces (divergence theorem)."""
     points = np.vstack([surface.vertices, surface.vertices.mean(axis=0)])

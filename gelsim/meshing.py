@@ -4,6 +4,9 @@ The filling is fTetWild's (Hu et al. 2020) through pytetwild, with the size fiel
 out, its boundary put exactly onto the planes and curved patches of the shape (fTetWild keeps only within an envelope of it), and given
 mid-side nodes that lie on the exact shape.
 
+A skin and grains are filled together with the body: their surfaces are given to fTetWild too, which keeps them, each tet's material is told
+by the winding number of its middle, and interfaces are put onto their exact shape like the boundary.
+
 A symmetric body is meshed as the part its mirror planes cut out and mirrored up to what is asked for. Under a shape drawn along y both
 bodies are meshed in a space squeezed along y and stretched back: tets are long where nothing changes. The gel is always meshed as a flat
 block; a dome is the image of that block under z ↦ (z + T)(T + height(x, y)) / T - T, exact on its faces.
@@ -35,18 +38,36 @@ from gelsim.geometry import (
     TET_EDGES,
     TetMesh,
     TriMesh,
+    interface_faces,
     is_closed,
     jacobian_determinants,
     mirror,
     outer_faces,
     quadratic_tets,
+    region_volumes,
     tet_quality,
     tet_volumes,
+    winding_numbers,
 )
-from gelsim.scene import Scene
-from gelsim.shapes import DRAWN, TURNED, gel_height, load_mesh, placement, press_depth, rigid_surface, shape_symmetry, sharp_edges, solid
+from gelsim.inclusions import Inclusion, inclusions
+from gelsim.scene import Body, Scene
+from gelsim.shapes import (
+    DRAWN,
+    RELIEFS,
+    TURNED,
+    fine_feature,
+    gel_height,
+    load_mesh,
+    placement,
+    press_depth,
+    rigid_surface,
+    shape_symmetry,
+    sharp_edges,
+    solid,
+    wall,
+)
 from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField, class_above, class_below, contact_edge
-from gelsim.solids import Array, Plane, Solid, classify, membership, snap, solid_surface, zero_cuts
+from gelsim.solids import Array, Plane, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
 _SCHEMA = 2
@@ -64,6 +85,8 @@ _ATTEMPTS = ((0.05, 10.0, 20), (0.02, 6.0, 80), (0.1, 6.0, 80))
 regular tet has 3); the passes it may take. The next is tried when one leaves a bad tet; a smaller envelope costs more tets."""
 
 Progress = Callable[[str], None]
+Within = tuple[tuple[Inclusion, TriMesh], ...]
+"""What lies inside an object, with the facets that fTetWild is given for it."""
 
 
 # ---------------------------------------------------------------------------------------------------------------- the two bodies
@@ -78,7 +101,7 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
     """
     sizes, area = SIZES[scene.fidelity], footprint(scene)
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
-    edge = contact_edge(area, sizes)
+    edge = _contact_edge(scene, area)
     rims = _touching(scene, sharp_edges(scene.object))
     field = _field(area, -min(0.5 * thickness, 0.5 * min(area.high)), 0.0, edge, sizes, sizes.gel_far, rims)
     planes = (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), 0), ((0, -1, 0), 0))
@@ -110,31 +133,60 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
-    edge = OBJECT_COARSER * contact_edge(area, sizes)
+    edge = min(OBJECT_COARSER * contact_edge(area, sizes), _contact_edge(scene, area))
+    within: tuple[Inclusion, ...] = ()
     if body.shape == "mesh":
         surface, shape, stretch = load_mesh(body), None, 1.0
         narrow = float(np.ptp(surface.vertices, axis=0).min())
     else:
         surface, shape, stretch = None, solid(body, shape_symmetry(body), _COARSE), area.stretch
+        within = inclusions(body, shape_symmetry(body), _COARSE)
         narrow = float(np.ptp(solid(body).hull, axis=0).min())
     # Away from contact a tall object is a spring, but it needs two or three quadratic edges across to bend and stay round.
     far = max(edge, min(sizes.object_far, narrow / 2.5))
     rims = _cut(sharp_edges(body), min(edge, sizes.rim))
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
-    field = _field(replace(area, low=(0.0, 0.0)), 0.0, 0.5 * press_depth(scene), edge, sizes, far, rims)
+    uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
+    box = replace(area, low=(0.0, 0.0)), 0.0, 0.5 * press_depth(scene) + uneven
+    field = _field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
+    inner: list[TriMesh] = []
     if surface is None:
         assert shape is not None
-        vertices, faces, _ = solid_surface(shape, np.inf, lambda points: _CHORD * field(points))
-        surface = TriMesh(vertices, faces)
+        surface, *inner = (
+            TriMesh(*solid_surface(each, np.inf, lambda points: _CHORD * field(points))[:2]) for each in (shape, *(i.shape for i in within))
+        )
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
-    return _mirrored(_cached_fill(surface, shape, field, stretch, label, progress), symmetry)
+    mesh = _cached_fill(surface, shape, field, stretch, label, progress, tuple(zip(within, inner, strict=True)))
+    return _mirrored(mesh, symmetry)
 
 
-def _field(area: Footprint, bottom: float, top: float, edge: float, sizes: MeshSizes, far: float, rims: Array) -> SizeField:
+def _contact_edge(scene: Scene, area: Footprint) -> float:
+    """Edge length in contact [m], short enough for the waves of an uneven object."""
+    sizes = SIZES[scene.fidelity]
+    return min(contact_edge(area, sizes), fine_feature(scene.object) / sizes.divisions)
+
+
+def _seams(body: Body, shape: Solid | None, within: tuple[Inclusion, ...], sizes: MeshSizes) -> tuple[Array, float]:
+    """Points (K, 3) of what is thin, or of another material, inside an object, and the edge length [m] that it asks for."""
+    share = np.sqrt(SIZES["fast"].divisions / sizes.divisions)
+    wanted = [(each.shape, share * each.size) for each in within]
+    if shape is not None and body.shape in ("tube", "shell"):
+        wanted.append((shape, share * wall(body)))
+    size = min((each for _, each in wanted), default=np.inf)
+    points = [np.zeros((0, 3)), *(solid_surface(each, size, np.inf)[0] for each, _ in wanted)]
+    if shape is not None and body.shape in ("tube", "shell"):
+        hollow = tuple(p for p in shape.patches if isinstance(p, Sweep) and any(s.radius < 0 for s in p.segments))
+        near = patch_distances(hollow, points[-1]).min(axis=1) < 1.5 * wall(body)
+        points[-1] = points[-1][near]
+    return np.vstack(points), size
+
+
+def _field(area: Footprint, bottom: float, top: float, edge: float, sizes: MeshSizes, far: float, rims: Array,
+           seams: tuple[Array, float] = (np.zeros((0, 3)), np.inf)) -> SizeField:  # fmt: skip
     rounding = min(area.high) if area.round else 0.0
-    rim = min(edge, sizes.rim)
-    points = _cut(rims, rim).reshape(-1, 3)
+    rim = min(edge, sizes.rim if len(rims) or not len(seams[0]) else np.inf, seams[1])
+    points = np.vstack([_cut(rims, rim).reshape(-1, 3), seams[0]])
     folded = np.hstack([np.abs(points[:, :2]), points[:, 2:]])
     _, first = np.unique(np.round(folded / (0.1 * rim)), axis=0, return_index=True)
     corners = (*area.low, bottom), (*area.high, top)
@@ -197,16 +249,24 @@ def footprint(scene: Scene) -> Footprint:
     return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch, round_area)
 
 
-def mesh_report(mesh: TetMesh) -> dict[str, object]:
-    """Nodes, elements and quality (mean ratio of the straight tets, 1 is regular) for report.json."""
+def mesh_report(mesh: TetMesh, parts: tuple[str, ...] = ()) -> dict[str, object]:
+    """Nodes, elements and quality (mean ratio of the straight tets, 1 is regular) for report.json; of several parts their volumes."""
     quality = tet_quality(mesh.rest_positions, mesh.tets)
-    return {
+    report: dict[str, object] = {
         "nodes": len(mesh.rest_positions),
         "elements": len(mesh.tets),
         "smallest_quality": round(float(quality.min()), 4),
         "mean_quality": round(float(quality.mean()), 4),
         "symmetry": "".join(sorted(mesh.symmetry)),
     }
+    if len(parts) > 1:
+        report["volume_mm3"] = _volumes(mesh, parts)
+    return report
+
+
+def _volumes(mesh: TetMesh, parts: tuple[str, ...]) -> dict[str, float]:
+    """Of the whole body, mirror images included."""
+    return {name: float(2 ** len(mesh.symmetry) * v / MM**3) for name, v in zip(parts, region_volumes(mesh), strict=True)}
 
 
 def _mirrored(mesh: TetMesh, symmetry: frozenset[str]) -> TetMesh:
@@ -216,18 +276,24 @@ def _mirrored(mesh: TetMesh, symmetry: frozenset[str]) -> TetMesh:
 
 
 # ---------------------------------------------------------------------------------------------------------------- filling
-def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str) -> TetMesh:
+def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, within: Within = ()) -> TetMesh:
     """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
     smallest = min(field.contact, field.rim)
     inside = TriMesh(surface.vertices * squeeze, surface.faces)
+    for _, inner in within:
+        inside = TriMesh(
+            np.vstack([inside.vertices, inner.vertices * squeeze]), np.vstack([inside.faces, inner.faces + len(inside.vertices)])
+        )
     for attempt in _ATTEMPTS:
         vertices, tets = _tetwild(inside, narrow, attempt, label)
         vertices = vertices / squeeze
         inverted = tet_volumes(vertices, tets) < 0
         tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
-        vertices, patch = _snapped(vertices, tets, shape, 2 * stretch * (attempt[0] * smallest + _CHORD * field(vertices)))
+        regions = _regions(vertices, tets, within)
+        near = 2 * stretch * (attempt[0] * smallest + _CHORD * field(vertices))
+        vertices, faces, patch = _snapped(vertices, tets, regions, shape, within, near)
         quality = tet_quality(vertices * squeeze, tets)
         if quality.min() > _WORST_QUALITY:
             break
@@ -240,10 +306,28 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
     boundary = outer_faces(tets10)
     if shape is None:
         return TetMesh(nodes, tets10, _mesh_groups(nodes, boundary, label))
-    nodes = _curved(nodes, tets10, boundary, patch, shape, len(vertices))
-    roles = np.array(shape.roles)[patch]
+    nodes = _curved(nodes, tets10, faces, patch, _together(shape, within), len(vertices))
+    roles = np.array(shape.roles)[patch[: len(boundary)]]
     groups = {role: boundary[roles == role] for role in sorted(set(shape.roles) - set(AXES))}
-    return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES))
+    return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES), regions)
+
+
+def _regions(vertices: Array, tets: NDArray[np.int32], within: Within) -> NDArray[np.int32]:
+    """The part that each tet belongs to, (T,): of an object with a skin what is not flesh is the skin, number 1."""
+    regions, middle = np.zeros(len(tets), np.int32), vertices[tets].mean(axis=1)
+    for part, surface in within:
+        inside = winding_numbers(middle, surface) > 0.5
+        if part.region:
+            regions[inside] = part.region
+        else:
+            regions[~inside] = 1
+    return regions
+
+
+def _together(shape: Solid, within: Within) -> Solid:
+    """The patches of the outer shape, then those of the interfaces: their bases and cuts are the outer ones."""
+    inner = [p for part, _ in within for p, role in zip(part.shape.patches, part.shape.roles, strict=True) if role == "contact"]
+    return Solid((*shape.patches, *inner), (*shape.roles, *("interface" for _ in inner)), shape.hull)
 
 
 def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, int], label: str) -> tuple[Array, NDArray[np.int32]]:
@@ -290,18 +374,28 @@ numpy.savez("out.npz", vertices=vertices, tets=tets)
 """
 
 
-def _snapped(vertices: Array, tets: NDArray[np.int32], shape: Solid | None, near: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Boundary vertices put on the patches of the faces around them, at most `near` away; the patch of each boundary face."""
+def _snapped(vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32], shape: Solid | None, within: Within,
+             near: Array) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:  # fmt: skip
+    """Vertices of boundary and interfaces put on the patches of the faces around them, at most `near` away; these six-node faces, boundary
+    first, and the patch of each in `_together`."""
+    tets10 = quadratic_tets(vertices, tets)[1]
     if shape is None:
-        return vertices, np.zeros(0, np.int64)
-    faces = outer_faces(quadratic_tets(vertices, tets)[1])[:, :3]
-    patch = classify(shape.patches, vertices, faces, near)
-    member = membership(faces, patch, len(vertices), len(shape.patches))
+        return vertices, outer_faces(tets10), np.zeros(0, np.int64)
+    faces = [outer_faces(tets10)]
+    patch = [classify(shape.patches, vertices, faces[0][:, :3], near)]
+    before = len(shape.patches)
+    for part, _ in within:
+        mine = tuple(p for p, role in zip(part.shape.patches, part.shape.roles, strict=True) if role == "contact")
+        faces.append(interface_faces(tets10, regions == part.region if part.region else regions != 1))
+        patch.append(before + classify(mine, vertices, faces[-1][:, :3], near))
+        before += len(mine)
+    whole, all_faces, all_patches = _together(shape, within), np.vstack(faces), np.concatenate(patch)
+    member = membership(all_faces[:, :3], all_patches, len(vertices), len(whole.patches))
     on = member.any(axis=1)
     moved = vertices.copy()
-    moved[on] = snap(shape.patches, vertices[on], member[on])
-    zero_cuts(shape, moved, member)
-    return moved, patch
+    moved[on] = snap(whole.patches, vertices[on], member[on])
+    zero_cuts(whole, moved, member)
+    return moved, all_faces, all_patches
 
 
 def _curved(
@@ -363,13 +457,14 @@ def cache_folder() -> Path:
     return Path(os.environ.get("GELSIM_CACHE") or platformdirs.user_cache_dir("gelsim")) / "meshes"
 
 
-def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, progress: Progress | None) -> TetMesh:
-    key = _key(surface, shape, field, stretch)
+def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, progress: Progress | None,
+                 within: Within = ()) -> TetMesh:  # fmt: skip
+    key = _key(surface, shape, field, stretch, within)
     path = cache_folder() / f"{key}.npz"
     mesh = _read(path)
     if mesh is None:
         (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
-        mesh = _fill(surface, shape, field, stretch, label)
+        mesh = _fill(surface, shape, field, stretch, label, within)
         _check(mesh, label)
         try:
             _write(path, mesh)
@@ -383,13 +478,17 @@ def _say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float) -> str:
+def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, within: Within) -> str:
     """Hash of everything a mesh depends on. Coordinates are rounded to a picometre, so that the last bits of libm do not matter."""
     digest = hashlib.sha256()
     settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, _CHILD, LONGER, field.settings(), stretch, shape and shape.roles]
     digest.update(json.dumps(settings, sort_keys=True, default=float).encode())
     digest.update(np.round(surface.vertices * 1e12).astype(np.int64).tobytes())
     digest.update(surface.faces.tobytes())
+    for part, inner in within:
+        digest.update(f"{part.region} {part.shape.roles}".encode())
+        digest.update(np.round(inner.vertices * 1e12).astype(np.int64).tobytes())
+        digest.update(inner.faces.tobytes())
     return digest.hexdigest()[:32]
 
 
@@ -400,6 +499,7 @@ def _write(path: Path, mesh: TetMesh) -> None:
     try:
         with os.fdopen(handle, "wb") as file:
             arrays = {"rest_positions": mesh.rest_positions, "tets": mesh.tets, "symmetry": np.array("".join(sorted(mesh.symmetry)))}
+            arrays["regions"] = mesh.regions
             np.savez(file, **arrays, **groups)  # type: ignore[arg-type]
         os.replace(part, path)
     except BaseException:
@@ -412,7 +512,8 @@ def _read(path: Path) -> TetMesh | None:
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             groups = {name.removeprefix("group_"): stored[name] for name in stored.files if name.startswith("group_")}
-            mesh = TetMesh(stored["rest_positions"], stored["tets"], groups, frozenset(str(stored["symmetry"])))
+            regions = stored["regions"] if "regions" in stored.files else np.zeros(0, np.int32)  # kept before there were any
+            mesh = TetMesh(stored["rest_positions"], stored["tets"], groups, frozenset(str(stored["symmetry"])), regions)
         count = len(mesh.rest_positions)
         whole = np.isfinite(mesh.rest_positions).all() and all(0 <= a.min() and a.max() < count for a in (mesh.tets, *groups.values()))
         return mesh if whole else None

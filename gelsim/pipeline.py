@@ -184,7 +184,7 @@ def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[Tet
         else:
             body = meshing.mesh_object(scene, symmetry)
             surface = body.surface("contact")
-            record.meshes["object"] = meshing.mesh_report(body)
+            record.meshes["object"] = meshing.mesh_report(body, materials.parts(scene.object))
         gel = meshing.mesh_gel(scene, symmetry)
         record.meshes["gel"] = meshing.mesh_report(gel)
         placement = shapes.placement(scene, surface)

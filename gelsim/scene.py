@@ -18,7 +18,8 @@ from dataclasses import dataclass, field, replace
 
 from gelsim import materials
 from gelsim.errors import MaterialError, SceneError
-from gelsim.units import MESH_UNITS, unit_of
+from gelsim.limits import CHOICES, LIMITS, WITH_PARTS
+from gelsim.units import unit_of
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
@@ -115,18 +116,28 @@ class Body:
     shape: str = "cylinder"
     """flat: a block 25 x 25 mm. box: a block width_mm x length_mm. hemisphere: a ball's end on a straight round foot. cylinder: a rod
     lying along y, its curved side down, on a straight block. punch: a flat-ended round rod, sharp rim. frustum: a truncated cone, narrow
-    flat end down. cone: apex down, on a straight foot. edge: a wedge, its ridge along y. corner: of a cube, one vertex down. mesh: the
-    file named by mesh."""
+    flat end down. cone: apex down, on a straight foot. edge: a wedge, its ridge along y. corner: of a cube, one vertex down. tube: hollow,
+    lying along y under a narrower foot. shell: a ball's hollow end under a hollow foot, the cup's bottom down. torus: a ring lying on a
+    round block. tomato: a ball with a skin under a narrower foot. candy: a box with grains. Blocks width_mm x length_mm with an uneven
+    underside: wave (ridges along y), emboss (a grid of round dots), rough (random). mesh: the file named by mesh."""
     radius_mm: float = 5.0
-    """Of hemisphere, cylinder, punch, of a cone's foot and of a frustum's narrow end."""
+    """Of hemisphere, cylinder, punch, tube, shell and tomato (outside), of a cone's foot, a frustum's narrow end, a torus' middle line."""
     height_mm: float = 25.0
     """From the contact apex to the base on the platen."""
     width_mm: float | None = None
-    """Along x, of flat, edge, corner (25 by default) and box (10)."""
+    """Along x, of flat, edge, corner (25 by default), box, candy, wave, emboss and rough (10)."""
     length_mm: float | None = None
-    """Along y, of flat, edge, cylinder (25 by default) and box (15)."""
+    """Along y, of flat, edge, cylinder, tube (25 by default), box (15), candy, wave, emboss and rough (10)."""
     angle_deg: float | None = None
     """Edge and cone: the angle they include (90 by default). Frustum: between flank and base plane (75); 90 is a punch."""
+    wall_mm: float | None = None
+    """Thickness of the wall of tube and shell (a fifth of radius_mm by default), and of a torus' ring (half of it)."""
+    amplitude_mm: float = 0.2
+    """From top to bottom, of wave and emboss; of rough the standard deviation of its heights."""
+    wavelength_mm: float = 3.0
+    """Of wave and emboss; of rough the shortest, the longest is four times that."""
+    pattern_seed: int = 0
+    """Of rough: another number, another surface."""
     mesh: str | None = None
     """A watertight STL, OBJ or PLY file (shape = "mesh"), its lowest point the contact apex."""
     mesh_unit: str = "mm"
@@ -154,8 +165,13 @@ class Body:
     grains: Grains = field(default_factory=Grains)
 
     def __post_init__(self) -> None:
-        if not self.rigid:
-            _default_hardness(self, 30.0)
+        if self.rigid:
+            return
+        _default_hardness(self, 30.0)
+        if self.shape == "tomato" and self.skin == Skin():
+            object.__setattr__(self, "skin", Skin(thickness_mm=0.5, shore_a=20.0))
+        if self.shape == "candy" and self.grains == Grains():
+            object.__setattr__(self, "grains", Grains(count=20, shore_a=45.0))
 
 
 @dataclass(frozen=True)
@@ -317,95 +333,6 @@ class Scene:
 
 STIFFNESS = ("shore_00", "shore_a", "youngs_modulus_kpa")
 """Of these a gel or an object gives exactly one."""
-
-CHOICES: dict[str, tuple[str, ...]] = {
-    "fidelity": ("fast", "balanced", "reference"),
-    "gel.profile": ("dome", "flat"),
-    "object.shape": ("flat", "hemisphere", "cylinder", "edge", "corner", "cone", "box", "frustum", "punch", "mesh"),
-    "object.mesh_unit": tuple(MESH_UNITS),
-    "object.law": materials.LAWS,
-    "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
-    "markers.layout": ("grid", "none"),
-    "render.mode": ("path", "direct"),
-}
-
-# Inclusive bounds of every number in a field, in the unit of its name. Only Shore readings have no row: their relations bound them.
-LIMITS: dict[str, tuple[float, float]] = {
-    "seed": (0, 2**32 - 1),
-    "target_error": (1e-4, 0.5),
-    "target_membrane_um": (0.01, 1000),
-    "gel.size_mm": (5, 100),
-    "gel.thickness_mm": (0.5, 20),
-    "gel.edge_thickness_mm": (0.05, 20),
-    "gel.youngs_modulus_kpa": (1, 1e7),
-    "gel.modulus_scale": (0.05, 20),
-    "gel.poissons_ratio": (0, 0.49999),
-    "gel.prony_g": (0, 1),
-    "gel.prony_tau_s": (1e-6, 1e6),
-    "object.radius_mm": (0.5, 50),
-    "object.height_mm": (1, 100),
-    "object.width_mm": (0.5, 100),
-    "object.length_mm": (0.5, 100),
-    "object.angle_deg": (10, 170),
-    "object.youngs_modulus_kpa": (1, 1e7),
-    "object.modulus_scale": (0.05, 20),
-    "object.poissons_ratio": (0, 0.49999),
-    "object.prony_g": (0, 1),
-    "object.prony_tau_s": (1e-6, 1e6),
-    "object.skin.thickness_mm": (0, 20),
-    "object.skin.youngs_modulus_kpa": (1, 1e7),
-    "object.skin.modulus_scale": (0.05, 20),
-    "object.grains.count": (0, 500),
-    "object.grains.radius_mm": (0.1, 20),
-    "object.grains.seed": (0, 2**32 - 1),
-    "object.grains.youngs_modulus_kpa": (1, 1e7),
-    "object.grains.modulus_scale": (0.05, 20),
-    "object.law_constants.c2_over_c1": (-1, 10),
-    "object.law_constants.c3_over_c1": (-1, 10),
-    "object.law_constants.alpha": (-25, 25),
-    "object.law_constants.weight": (0, 1),
-    "contact.friction_coefficient": (0, 10),
-    "press.depth_mm": (1e-3, 50),
-    "press.force_n": (1e-3, 1000),
-    "press.frames": (2, 1000),
-    "press.tilt_deg": (-45, 45),
-    "press.offset_mm": (-50, 50),
-    "press.shear_mm": (-10, 10),
-    "press.twist_deg": (-90, 90),
-    "press.speed_mm_s": (1e-3, 1000),
-    "press.hold_s": (0, 1e5),
-    "camera.resolution": (16, 4096),
-    "camera.field_mm": (1, 100),
-    "camera.distance_mm": (1, 1000),
-    "camera.fps": (0.1, 1000),
-    "camera.exposure": (1e-6, 1e6),
-    "camera.white_balance": (0, 100),
-    "camera.noise_sd": (0, 255),
-    "lights.window_thickness_mm": (0, 50),
-    "lights.window_ior": (1, 3),
-    "lights.gel_ior": (1, 3),
-    "lights.lights.position_mm": (-1000, 1000),
-    "lights.lights.direction": (-1e6, 1e6),
-    "lights.lights.size_mm": (0.01, 200),
-    "lights.lights.rgb": (0, 1e6),
-    "lights.lights.power": (0, 1e9),
-    "coating.albedo": (0, 1),
-    "coating.specular": (0, 1),
-    "coating.roughness": (0.01, 1),
-    "coating.flake_reflectance": (0, 1),
-    "coating.grain": (0, 1),
-    "coating.grain_size_mm": (0.01, 10),
-    "markers.pitch_mm": (0.2, 50),
-    "markers.radius_mm": (0.02, 10),
-    "markers.tilt_deg": (-180, 180),
-    "markers.jitter_mm": (0, 10),
-    "markers.size_jitter": (0, 1),
-    "markers.outline_jitter": (0, 1),
-    "markers.albedo": (0, 1),
-    "markers.seed": (0, 2**32 - 1),
-    "render.spp": (1, 65536),
-    "render.resolution": (16, 4096),
-}
 
 
 @functools.cache
@@ -584,6 +511,8 @@ def _check_parts(body: Body) -> None:
         present = name.split(".")[1] in materials.parts(body)
         if present and not given:
             raise SceneError(f"{name} has no hardness: give exactly one of {', '.join(STIFFNESS)}")
+        if present and body.shape not in WITH_PARTS:
+            raise SceneError(f'{name}.{key} = {getattr(part, key):g}: shape = "{body.shape}" has none; allowed for {", ".join(WITH_PARTS)}')
         if given and not present:
             raise SceneError(f"{given[0]}, but {name}.{key} = 0: give {key} too, or neither")
 
@@ -607,6 +536,21 @@ def _check_object(body: Body) -> None:
         if body.mesh is None:
             raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
         raise SceneError(f'object.mesh = {body.mesh!r} is given, but object.shape = {body.shape!r}: say shape = "mesh"')
+    if body.shape in ("tube", "shell", "torus") and body.wall_mm is not None:
+        most = (2.0 if body.shape == "torus" else 0.9) * body.radius_mm
+        if body.wall_mm > most:
+            raise SceneError(f"object.wall_mm = {body.wall_mm:g} mm: allowed for a {body.shape} of that radius_mm is up to {most:g} mm")
+    tall = {"tube": 1.8 * body.radius_mm, "tomato": 1.8 * body.radius_mm, "shell": body.radius_mm}.get(body.shape, 0.0)
+    if body.shape == "torus":
+        tall = (body.wall_mm or 0.5 * body.radius_mm) / 2
+    if body.height_mm <= tall:
+        raise SceneError(f"object.height_mm = {body.height_mm:g} mm: a {body.shape} needs more than {tall:g} mm, and a foot above that")
+    steepest = 1.5 / math.pi  # of amplitude over wavelength: slopes of 56 degrees
+    if body.shape in ("wave", "emboss", "rough") and body.amplitude_mm > steepest * body.wavelength_mm:
+        raise SceneError(
+            f"object.amplitude_mm = {body.amplitude_mm:g} mm: allowed is up to {steepest * body.wavelength_mm:.3g} mm, "
+            f"0.48 of object.wavelength_mm = {body.wavelength_mm:g} mm"
+        )
     small = {"hemisphere": body.rigid, "cylinder": body.rigid}.get(body.shape, True)
     if not small and body.radius_mm < 2.5:
         raise SceneError(f"object.radius_mm = {body.radius_mm:g} mm: allowed for a soft {body.shape} is 2.5 … 50 mm")

@@ -1,11 +1,12 @@
 """What is pressed and what it is pressed into: exact shapes of objects and of the gel, their surfaces, symmetry and placement.
 
 An object is described in its own frame: the contact apex (its lowest point) at the origin, +z up to the base plane at z = height, which is
-fixed to the platen. A parametric shape is a convex solid (`gelsim.solids`): a profile of lines and arcs, turned about z (hemisphere,
-cone, punch, frustum) or drawn along y (cylinder, edge, flat, box), with planes for its ends and its base; the corner is planes alone.
-A `mesh` shape keeps its own flat facets.
+fixed to the platen. A parametric shape is a solid of smooth patches (`gelsim.solids`): a profile of lines and arcs, turned about z
+(hemisphere, cone, punch, frustum, shell, torus, tomato) or drawn along y (cylinder, edge, flat, box, tube, candy), with planes for its ends
+and its base; the corner is planes alone; wave, emboss and rough are blocks with a sum of cosines for an underside. A `mesh` shape keeps its
+own flat facets. What lies inside an object, skin and grains, is in `gelsim.inclusions`.
 
-Left out: fillets on the sharp rims (a real cast has 0.1 mm or so), and textures.
+Left out: fillets on the sharp rims (a real cast has 0.1 mm or so).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gelsim.scene import Body, Gel, Scene
 from gelsim.solids import (
     HULL_STEP,
     Array,
+    HeightField,
     Patch,
     Plane,
     Segment,
@@ -30,19 +32,26 @@ from gelsim.solids import (
     Solid,
     Sweep,
     membership,
+    mirrored,
     project_polyhedron,
     snap,
     solid_surface,
+    swept,
     zero_cuts,
 )
 from gelsim.units import DEG, MM
 
-TURNED = ("hemisphere", "cone", "punch", "frustum")
-DRAWN = ("cylinder", "edge", "flat", "box")
+TURNED = ("hemisphere", "cone", "punch", "frustum", "shell", "torus", "tomato")
+DRAWN = ("cylinder", "edge", "flat", "box", "tube", "candy")
+NOT_CONVEX = ("tube", "shell", "torus", "tomato")
+"""Of these the coarse surface is made from the profile."""
+RELIEFS = ("wave", "emboss", "rough")
+FOOT = 0.6
+"""Half width of the foot above a tube or a tomato, over its radius."""
 SAMPLE_WIDTH = 25e-3
 """Width of the caps cut from large balls and rods [m] (interfaces.md §2)."""
-_WIDTH_MM = {"box": 10.0}
-_LENGTH_MM = {"box": 15.0}
+_WIDTH_MM = {"box": 10.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
+_LENGTH_MM = {"box": 15.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
 """Where 25 mm is not the default."""
 _ANGLE_DEG = {"edge": 90.0, "cone": 90.0, "frustum": 75.0}
 _FINE = 0.25e-3
@@ -69,6 +78,18 @@ def profile(body: Body) -> tuple[Segment, ...]:
         slope = 1.0 / np.tan(_angle(body) / 2)
         wide = min(r if body.shape == "cone" else half, h / slope)
         return _with_foot(Segment((0.0, 0.0), (wide, wide * slope)), h)
+    if body.shape in ("tube", "tomato"):
+        neck = (FOOT * r, r + r * np.sqrt(1.0 - FOOT**2))
+        return Segment((0.0, 0.0), neck, r), Segment(neck, (neck[0], h))
+    if body.shape == "shell":
+        return _with_foot(Segment((0.0, 0.0), (r, r), r), h)
+    if body.shape == "torus":
+        ring = wall(body) / 2
+        return (
+            Segment((0.0, ring), (r - ring, ring)),
+            Segment((r - ring, ring), (r + ring, ring), ring, (r, ring)),
+            Segment((r + ring, ring), (r + ring, h)),
+        )
     if body.shape == "frustum":
         top = r + h / np.tan(_angle(body))
         return Segment((0.0, 0.0), (r, 0.0)), Segment((r, 0.0), (top, h))
@@ -76,9 +97,37 @@ def profile(body: Body) -> tuple[Segment, ...]:
     return _with_foot(Segment((0.0, 0.0), (half, 0.0)), h)
 
 
+def _bore(body: Body) -> tuple[Segment, ...]:
+    """The profile of the hollow of a tube or a shell, from its top down; of others none."""
+    h, r = body.height_mm * MM, body.radius_mm * MM
+    inner = r - wall(body)
+    if body.shape == "tube":
+        return (Segment((0.0, r + inner), (0.0, r - inner), -inner, (0.0, r)),)
+    if body.shape == "shell":
+        return Segment((inner, h), (inner, r)), Segment((inner, r), (0.0, r - inner), -inner, (0.0, r))
+    return ()
+
+
+def wall(body: Body) -> float:
+    """Of tube and shell; the thickness of a torus' ring [m]."""
+    return (body.wall_mm or (0.5 if body.shape == "torus" else 0.2) * body.radius_mm) * MM
+
+
+def fine_feature(body: Body) -> float:
+    """The shortest wave of an uneven underside, or the thickness of a torus' ring [m], which both meshes follow; infinite without one."""
+    if body.shape == "torus":
+        return wall(body)
+    return body.wavelength_mm * MM if body.shape in RELIEFS and body.amplitude_mm else np.inf
+
+
 def _with_foot(tip: Segment, h: float) -> tuple[Segment, ...]:
     wide, rise = tip.end
     return (tip,) if rise > h * (1 - 1e-9) else (tip, Segment(tip.end, (wide, h)))
+
+
+def sides(body: Body) -> tuple[float, float]:
+    """Half of what a block or a drawn shape measures along x and y [m]."""
+    return _width(body) / 2, _length(body) / 2
 
 
 def _width(body: Body) -> float:
@@ -101,7 +150,9 @@ def _angle(body: Body) -> float:
 # ---------------------------------------------------------------------------------------------------------------- solids
 def shape_symmetry(body: Body) -> frozenset[str]:
     """Mirror planes of the object in its own frame: "x" is the plane x = 0."""
-    return frozenset() if body.shape == "mesh" else frozenset("x") if body.shape == "corner" else frozenset("xy")
+    if body.shape in ("mesh", "rough") or (body.grains.count and not body.rigid):
+        return frozenset()
+    return frozenset("x") if body.shape == "corner" else frozenset("xy")
 
 
 def press_symmetry(scene: Scene) -> frozenset[str]:
@@ -122,8 +173,11 @@ def press_symmetry(scene: Scene) -> frozenset[str]:
 def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL_STEP) -> Solid:
     """The exact shape, cut at the planes of `symmetry`, of which its positive side stays; `step` [rad] between a turned hull's corners."""
     assert body.shape != "mesh" and symmetry <= shape_symmetry(body)
+    if body.shape in RELIEFS:
+        return _relief(body, symmetry)
     h = body.height_mm * MM
     patches: list[Patch] = []
+    faces = None
     if body.shape == "corner":
         half = _width(body) / 2
         for azimuth in np.array([90.0, 210.0, 330.0]) * DEG:
@@ -134,8 +188,13 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
         hull = None
     else:
         segments = profile(body)
-        patches += _runs(segments, body.shape in TURNED)
-        hull = _hull_points(segments, body, symmetry, step)
+        patches += runs(segments, body.shape in TURNED)
+        if body.shape in NOT_CONVEX:
+            bore = _bore(body)
+            patches += runs(bore, body.shape in TURNED) if bore else []
+            hull, faces = coarse_surface(segments, bore, body, symmetry, step)
+        else:
+            hull = hull_points(segments, body, symmetry, step)
         if body.shape in DRAWN:
             patches.append(Plane((0.0, 1.0, 0.0), _length(body) / 2))
             if "y" not in symmetry:
@@ -146,10 +205,85 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
     for axis in sorted(symmetry):
         patches.append(Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0))
         roles.append(axis)
-    return Solid(tuple(patches), tuple(roles), _polyhedron(patches) if hull is None else hull)
+    return Solid(tuple(patches), tuple(roles), _polyhedron(patches) if hull is None else hull, faces)
 
 
-def _runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
+def coarse_surface(
+    segments: tuple[Segment, ...], bore: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float
+) -> tuple[Array, np.ndarray]:
+    """Vertices and faces of a shape that is not convex, from its profile and that of its hollow."""
+    line = _polyline(segments)
+    if bore:
+        hollow = _polyline(bore)
+        top = [[0.0, line[-1, 1]]] if hollow[0, 1] < line[-1, 1] else []
+        outline = np.vstack([line, *top, hollow])
+    else:
+        outline = np.vstack([line, [0.0, line[-1, 1]]])
+    vertices, faces = swept(outline, body.shape in TURNED, _length(body) / 2, step)
+    for axis in sorted({"x", "y"} - symmetry):
+        vertices, faces = mirrored(vertices, faces, axis)
+    return vertices, faces
+
+
+def _polyline(segments: tuple[Segment, ...]) -> Array:
+    return np.vstack([segments[0].samples()] + [s.samples()[1:] for s in segments[1:]])
+
+
+def _relief(body: Body, symmetry: frozenset[str]) -> Solid:
+    """A block with an uneven underside, its lowest point at z = 0."""
+    high = np.array([_width(body), _length(body)]) / 2
+    low = np.where([axis in symmetry for axis in "xy"], 0.0, -high)
+    field = _underside(body)
+    counts = np.maximum(4, np.ceil((high - low) / (body.wavelength_mm * MM / 8)).astype(int))
+    x, y = (np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True))
+    flat = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    number = np.arange(len(flat)).reshape(len(x), len(y))
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])  # counter-clockwise from above
+    top = len(flat) + np.arange(len(rim))
+    following, above = np.roll(rim, -1), np.roll(top, -1)
+    centre = np.full(len(rim), len(flat) + len(rim))
+    h = body.height_mm * MM
+    vertices = np.vstack([
+        np.column_stack([flat, field.heights(flat)[0]]), np.insert(flat[rim], 2, h, axis=1), [[*(low + high) / 2, h]],
+    ])  # fmt: skip
+    faces = [(a, c, b), (a, d, c), (rim, following, above), (rim, above, top), (centre, top, above)]
+    planes = [Plane((1.0, 0.0, 0.0), high[0]), Plane((0.0, 1.0, 0.0), high[1])]
+    planes += [Plane((-1.0, 0.0, 0.0), -low[0]), Plane((0.0, -1.0, 0.0), -low[1]), Plane((0.0, 0.0, 1.0), h)]
+    roles = ("contact", "contact", "contact", *(axis if axis in symmetry else "contact" for axis in "xy"), "base")
+    return Solid((field, *planes), roles, vertices, np.vstack([np.stack(three, axis=1) for three in faces]).astype(np.int32))
+
+
+@lru_cache(maxsize=16)
+def _underside(body: Body) -> HeightField:
+    """wave: (A/2)(1 - cos kx). emboss: A (1 - (1 + cos kx)(1 + cos ky)/4), dots in a square grid, one at the apex. rough: 64 waves of one
+    size, of random direction and phase, their wave numbers spread evenly over the areas of rings between a quarter and the whole of k."""
+    size, k = body.amplitude_mm * MM, 2 * np.pi / (body.wavelength_mm * MM)
+    if body.shape == "wave":
+        return HeightField(size / 2, ((k, 0.0, 0.0, -size / 2),))
+    if body.shape == "emboss":
+        quarter = -size / 4
+        across = ((k, 0.0, 0.0, quarter), (0.0, k, 0.0, quarter), (k, k, 0.0, quarter / 2), (k, -k, 0.0, quarter / 2))
+        return HeightField(0.75 * size, across)
+    rng, count = np.random.default_rng(body.pattern_seed), 64
+    numbers = k * np.sqrt((1 / 16) + (15 / 16) * (np.arange(count) + 0.5) / count)
+    direction, phase = rng.uniform(0, np.pi, count), rng.uniform(0, 2 * np.pi, count)
+    each = size * np.sqrt(2.0 / count)
+    field = HeightField(0.0, tuple((n * np.cos(d), n * np.sin(d), p, each) for n, d, p in zip(numbers, direction, phase, strict=True)))
+    lines = [
+        np.linspace(-half, half, 1 + int(np.ceil(40 * half / (body.wavelength_mm * MM)))) for half in (_width(body) / 2, _length(body) / 2)
+    ]
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    # from the lowest of 20 points a wavelength straight down the slope: a few steps of 1/curvature bring a nanometre's rest to nothing
+    low = grid[field.heights(grid)[0].argmin()][None]
+    for _ in range(50):
+        low = np.clip(
+            low - field.heights(low)[1] / (4 * k**2 * max(size, 1e-9)), [-lines[0][-1], -lines[1][-1]], [lines[0][-1], lines[1][-1]]
+        )
+    return HeightField(-float(field.heights(low)[0][0]), field.waves)
+
+
+def runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
     """Cuts a profile at its creases."""
     runs = [[segments[0]]]
     for before, after in zip(segments[:-1], segments[1:], strict=True):
@@ -160,25 +294,25 @@ def _runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
     return [Sweep(tuple(run), turned) for run in runs]
 
 
-def _hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float) -> Array:
+def hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float) -> Array:
     """Corners of a coarse polyhedron; no three on a line, so that the hull keeps each of them."""
-    line = np.vstack([segments[0].samples()] + [s.samples()[1:] for s in segments[1:]])
-    h = line[-1, 1]
+    line = _polyline(segments)
+    low, h = line[0, 1], line[-1, 1]
+    pointed = line[1, 1] > low
     if body.shape not in TURNED:
-        pointed = line[1, 1] > 0.0
         right = line if pointed or "x" in symmetry else line[1:]
         left = np.array([[0.0, h]]) if "x" in symmetry else (line[1:] * [-1.0, 1.0])
         flat = np.vstack([right, left])
         ends = [0.0 if "y" in symmetry else -_length(body) / 2, _length(body) / 2]
         return np.vstack([np.insert(flat, 1, y, axis=1) for y in ends])
-    low = {0: -np.pi, 1: -np.pi / 2 if "x" in symmetry else 0.0, 2: 0.0}[len(symmetry)]
-    high = {0: np.pi, 1: np.pi / 2 if "x" in symmetry else np.pi, 2: np.pi / 2}[len(symmetry)]
-    azimuth = np.linspace(low, high, 1 + round((high - low) / step))
+    begin = {0: -np.pi, 1: -np.pi / 2 if "x" in symmetry else 0.0, 2: 0.0}[len(symmetry)]
+    end = {0: np.pi, 1: np.pi / 2 if "x" in symmetry else np.pi, 2: np.pi / 2}[len(symmetry)]
+    azimuth = np.linspace(begin, end, 1 + round((end - begin) / step))
     azimuth = azimuth[:-1] if not symmetry else azimuth
     circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     circle[np.abs(circle) < 1e-12] = 0.0
     rings = [np.hstack([r * circle, np.full((len(circle), 1), z)]) for r, z in line[1:]]
-    axis = [[0.0, 0.0, 0.0]] if line[1, 1] > 0.0 or len(symmetry) == 2 else []
+    axis = [[0.0, 0.0, low]] if pointed or len(symmetry) == 2 else []
     axis += [[0.0, 0.0, h]] if len(symmetry) == 2 else []
     return np.vstack([*rings, np.array(axis).reshape(-1, 3)])
 
@@ -283,6 +417,7 @@ def project(body: Body, points: Array) -> Array:
     """Closest points (N, 3) on the exact surface of the object; a `mesh` shape returns the points as they are."""
     if body.shape == "mesh":
         return points.copy()
+    assert not _bore(body) and body.shape not in RELIEFS, "of these only the patches are known"
     if body.shape == "corner":
         return project_polyhedron(solid(body), points)
     h = body.height_mm * MM

@@ -1,13 +1,15 @@
-"""Convex solids bounded by smooth patches, and triangles on them that lie exactly where they should.
+"""Solids bounded by smooth patches, and triangles on them that lie exactly where they should.
 
-A patch is a plane, or a profile of lines and circular arcs turned about z or drawn along y. Every patch knows the closest point on itself,
-so that vertices and mid-side nodes can be put where they belong; a point on a crease lies on both patches at once and is found by
-alternating projections (von Neumann 1950: they converge linearly, with the squared cosine of the angle between the patches).
+A patch is a plane, a ball, a height field, or a profile of lines and circular arcs turned about z or drawn along y. Every patch knows a
+point on itself near any other (of all but a height field the closest), so that vertices and mid-side nodes can be put where they belong; a
+point on a crease lies on both patches at once and is found by alternating projections (von Neumann 1950: they converge linearly, with the
+squared cosine of the angle between the patches).
 
-Triangles come from the convex hull of a few points of the solid, refined by longest-edge bisection (Rivara 1984) until every edge is as
-short as asked and every chord as close to the solid as asked; new vertices go onto the patches of the faces that meet there.
+Triangles come from the convex hull of a few points of the solid, or where it is not convex from a coarse surface that it brings, refined by
+longest-edge bisection (Rivara 1984) until every edge is as short as asked and every chord as close to the solid as asked; new vertices go
+onto the patches of the faces that meet there.
 
-Left out: solids that are not convex, fillets.
+Left out: fillets.
 """
 
 from __future__ import annotations
@@ -52,16 +54,28 @@ class Segment:
     start: tuple[float, float]
     end: tuple[float, float]
     radius: float = 0.0
-    """Of an arc whose centre is (0, radius) [m]; 0 for a line."""
+    """Of an arc [m]; negative where the solid lies around it, not in it; 0 for a line."""
+    centre: tuple[float, float] | None = None
+    """Of an arc; (0, radius) unless given."""
+
+    def _middle(self) -> Array:
+        return np.array(self.centre or (0.0, abs(self.radius)))
+
+    def _angles(self) -> tuple[float, float]:
+        """Of start and end, from straight down."""
+        away = np.subtract((self.start, self.end), self._middle())
+        return float(np.arctan2(away[0, 0], -away[0, 1])), float(np.arctan2(away[1, 0], -away[1, 1]))
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Closest points and outward normals, both (N, 2)."""
         start, end = np.array(self.start), np.array(self.end)
         if self.radius:
-            low, high = (np.arctan2(p[0], self.radius - p[1]) for p in (start, end))
-            angle = np.clip(np.arctan2(points[:, 0], self.radius - points[:, 1]), low, high)
-            normal = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-            return np.array([0.0, self.radius]) + self.radius * normal, normal
+            middle, size = self._middle(), abs(self.radius)
+            away = points - middle
+            low, high = sorted(self._angles())
+            angle = np.clip(np.arctan2(away[:, 0], -away[:, 1]), low, high)
+            outward = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+            return middle + size * outward, np.sign(self.radius) * outward
         along = end - start
         share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
         normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
@@ -69,19 +83,19 @@ class Segment:
 
     def tangents(self) -> tuple[Array, Array]:
         if self.radius:
-            ends = [np.array([self.radius - p[1], p[0]]) / self.radius for p in (self.start, self.end)]
-            return ends[0], ends[1]
+            one, two = (np.sign(self.radius) * np.array([np.cos(angle), np.sin(angle)]) for angle in self._angles())
+            return one, two
         along = np.subtract(self.end, self.start)
         along = along / np.linalg.norm(along)
         return along, along
 
     def samples(self) -> Array:
-        """A few points from start to end, for the convex hull."""
+        """A few points from start to end, for a coarse surface."""
         if not self.radius:
             return np.array([self.start, self.end])
-        low, high = (np.arctan2(p[0], self.radius - p[1]) for p in (self.start, self.end))
-        angle = np.linspace(low, high, 1 + max(2, int(np.ceil((high - low) / HULL_STEP))))
-        points = np.stack([self.radius * np.sin(angle), self.radius * (1.0 - np.cos(angle))], axis=1)
+        low, high = self._angles()
+        angle = np.linspace(low, high, 1 + max(2, int(np.ceil(abs(high - low) / HULL_STEP))))
+        points = self._middle() + abs(self.radius) * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
         points[0], points[-1] = self.start, self.end
         return points
 
@@ -125,18 +139,61 @@ class Sweep:
         return out
 
 
-Patch = Plane | Sweep
+@dataclass(frozen=True)
+class Ball:
+    """A sphere, the solid inside."""
+
+    centre: tuple[float, float, float]
+    radius: float
+
+    def project(self, points: Array) -> Array:
+        return np.array(self.centre) + self.radius * self.normals(points)
+
+    def normals(self, points: Array) -> Array:
+        away = points - np.array(self.centre)
+        return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """z = level + Σ a cos(kx x + ky y + phase), the solid above it. Points are put on it straight up or down."""
+
+    level: float
+    waves: tuple[tuple[float, float, float, float], ...]
+    """(kx, ky [1/m], phase, a [m])."""
+
+    def heights(self, xy: Array) -> tuple[Array, Array]:
+        """z (N,) and its slopes (N, 2) at points (N, 2)."""
+        kx, ky, phase, size = np.array(self.waves).T
+        angle = xy[:, :1] * kx + xy[:, 1:2] * ky + phase
+        falling = -size * np.sin(angle)
+        return self.level + np.cos(angle) @ size, np.stack([falling @ kx, falling @ ky], axis=1)
+
+    def project(self, points: Array) -> Array:
+        out = points.copy()
+        out[:, 2] = self.heights(points[:, :2])[0]
+        return out
+
+    def normals(self, points: Array) -> Array:
+        slopes = self.heights(points[:, :2])[1]
+        down = np.column_stack([slopes, -np.ones(len(points))])
+        return down / np.linalg.norm(down, axis=1, keepdims=True)
+
+
+Patch = Plane | Sweep | Ball | HeightField
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A convex shape, or the part of it on the positive side of its cut planes."""
+    """A shape, or the part of it on the positive side of its cut planes."""
 
     patches: tuple[Patch, ...]
     roles: tuple[str, ...]
     """Of each patch: "contact", "base", or the cut plane "x" or "y"."""
     hull: Array
     """Corners of a coarse polyhedron inscribed in it, (P, 3)."""
+    faces: NDArray[np.int32] | None = None
+    """Its outward triangles, (F, 3), for a solid that is not convex; None: their convex hull."""
 
 
 def patch_distances(patches: tuple[Patch, ...], points: Array) -> Array:
@@ -192,18 +249,7 @@ def membership(faces: NDArray[np.int32], face_patch: NDArray[np.int64], vertex_c
 
 def solid_surface(shape: Solid, edge_length: Sizes | float, chord: Sizes | float) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:
     """Vertices, outward faces and the patch of each face; edges at most `edge_length` long and `chord` from the exact shape [m]."""
-    from scipy.spatial import ConvexHull
-
-    vertices = shape.hull
-    for options in ("Qt", "QJ"):  # joggled input never leaves a degenerate facet, should the triangulated one be no surface
-        hull = ConvexHull(vertices, qhull_options=options)
-        faces = hull.simplices.astype(np.int32)
-        corners = vertices[faces]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        flip = np.einsum("ij,ij->i", normal, hull.equations[:, :3]) < 0
-        faces[flip] = faces[flip][:, ::-1]
-        if is_closed(faces):
-            break
+    vertices, faces = (shape.hull, shape.faces) if shape.faces is not None else _hull(shape.hull)
     sizes, chords = (given if callable(given) else lambda p, given=given: np.full(len(p), given) for given in (edge_length, chord))
     patch = classify(shape.patches, vertices, faces, 1e-9)
     for _ in range(60):
@@ -235,6 +281,22 @@ def solid_surface(shape: Solid, edge_length: Sizes | float, chord: Sizes | float
     return vertices, faces, patch
 
 
+def _hull(vertices: Array) -> tuple[Array, NDArray[np.int32]]:
+    """The convex hull's outward triangles."""
+    from scipy.spatial import ConvexHull
+
+    for options in ("Qt", "QJ"):  # joggled input never leaves a degenerate facet, should the triangulated one be no surface
+        hull = ConvexHull(vertices, qhull_options=options)
+        faces = hull.simplices.astype(np.int32)
+        corners = vertices[faces]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        flip = np.einsum("ij,ij->i", normal, hull.equations[:, :3]) < 0
+        faces[flip] = faces[flip][:, ::-1]
+        if is_closed(faces):
+            break
+    return vertices, faces
+
+
 def bisected(faces, patch, index, longest, number):  # type: ignore[no-untyped-def]
     """Faces cut at their marked edges (number >= 0), the longest first."""
     start = np.argmax(index == longest[:, None], axis=1)
@@ -253,6 +315,55 @@ def bisected(faces, patch, index, longest, number):  # type: ignore[no-untyped-d
             out += [np.stack([ab, b, bc], 1)[cut], np.stack([ab, bc, c], 1)[cut]]
         tag += [patch[whole], patch[cut], patch[cut]]
     return np.vstack(out).astype(np.int32), np.concatenate(tag)
+
+
+def swept(outline: Array, turned: bool, length: float, step: float) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices and outward faces of the quarter x, y >= 0 of a solid whose profile need not be convex.
+
+    Args:
+        outline: (P, 2), the profile as a closed polygon in the half plane (r or x, z), solid on the left; edges on the axis among it.
+        turned: About z, in steps of at most `step` [rad]; else drawn along y to `length` [m].
+    """
+    from manifold3d import triangulate
+
+    count = len(outline)
+    across, up = outline.T
+    if turned:
+        azimuth = np.linspace(0.0, np.pi / 2, 1 + int(np.ceil(np.pi / 2 / step - 1e-9)))
+        circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+        circle[np.abs(circle) < 1e-12] = 0.0
+        rings = [np.column_stack([np.outer(across, direction), up]) for direction in circle]
+    else:
+        rings = [np.column_stack([across, np.full(count, y), up]) for y in (0.0, length)]
+    last = count * (len(rings) - 1)
+    cap = np.array(triangulate([outline]))
+    begin, end = cap, cap[:, ::-1] + last
+    one = np.arange(count)
+    two = np.roll(one, -1)
+    if turned:  # what lies on the axis sweeps nothing
+        one, two = one[(across[one] > 0) | (across[two] > 0)], two[(across[one] > 0) | (across[two] > 0)]
+    walls = []
+    for ring in range(len(rings) - 1):
+        a, b, c, d = one + ring * count, two + ring * count, two + (ring + 1) * count, one + (ring + 1) * count
+        walls += [np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)]
+    return welded(np.vstack(rings), np.vstack([begin, end, *walls]))
+
+
+def welded(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices at one place (to a picometre) made one; faces that lost a corner by it are dropped."""
+    _, first, index = np.unique(np.round(vertices * 1e12), axis=0, return_index=True, return_inverse=True)
+    faces = index.ravel()[faces]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return vertices[first], faces[whole].astype(np.int32)
+
+
+def mirrored(vertices: Array, faces: NDArray[np.int32], axis: str) -> tuple[Array, NDArray[np.int32]]:
+    """A closed surface cut at the plane `axis` = 0 together with its image, the cut left out."""
+    column = AXES[axis]
+    faces = faces[~(vertices[faces][:, :, column] == 0.0).all(axis=1)]
+    image = vertices.copy()
+    image[:, column] = 0.0 - image[:, column]
+    return welded(np.vstack([vertices, image]), np.vstack([faces, faces[:, ::-1] + len(vertices)]))
 
 
 def project_polyhedron(shape: Solid, points: Array) -> Array:

@@ -11,10 +11,13 @@ from gelsim.errors import SolveStatus
 from gelsim.fem.elements import tri6_gradient, triangle_quadrature
 from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, MEMBRANE_ERROR_PER_KINK, stress_jump, surface_kink
 from gelsim.fem.problem import KPA, MM, PressProblem
+from gelsim.fem.self_contact import closing_gap
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
 
 Array = NDArray[np.float64]
+HOLLOW = ("tube", "shell", "mesh")
+"""Shapes whose surface may come to touch itself; the others are convex, or open wide."""
 
 
 class Recorder:
@@ -58,6 +61,8 @@ class Recorder:
         # of the last state kept: after a failure the solids hold that one again
         jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
         kink = self._kink(everything[-1])
+        hollow = problem.object_material is not None and problem.scene.object.shape in HOLLOW
+        told = _self_contact(object_motion) if hollow else []
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
             numbers[name] = numbers[name].astype(np.int32)
@@ -71,6 +76,7 @@ class Recorder:
             status=status,
             message=message,
             info={
+                **({"warnings": told} if told else {}),
                 "unknowns": problem.solids.unknowns,
                 "steps_halved": steps_halved,
                 "symmetry": self._symmetry(),
@@ -108,6 +114,14 @@ class Recorder:
         placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
         object_motion, _ = whole_surface(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
         return gel_motion, object_motion, pressure
+
+
+def _self_contact(surface: SurfaceMotion) -> list[str]:
+    found = closing_gap(surface.rest, surface.faces6[:, :3], surface.displacement)
+    if found is None:
+        return []
+    state, gap = found
+    return [f"the object comes to touch itself, which is not modelled: {gap * MM:.2g} mm left in state {state}, maybe overrun later"]
 
 
 def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:

@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[2]
 LAYERS = [
     {"errors", "units"},
     {"geometry", "materials"},
-    {"scene", "results"},
+    {"scene", "limits", "results"},
     {"scene_file", "markers"},
     {"solids", "sizing", "mesh_file"},
-    {"shapes", "lightfield", "dataset", "metrics"},
+    {"shapes", "inclusions", "lightfield", "dataset", "metrics"},
     {"meshing", "profiles", "fem", "membrane", "optics"},
     {"outputs", "sheet", "fidelity", "reductions"},
     {"pipeline", "inspection", "doctor", "randomize"},
@@ -26,7 +26,15 @@ LAYERS = [
     {"__main__", "__init__"},
 ]
 # Pairs within a layer that may: the first uses the second.
-HELPERS = {("scene", "units"), ("sizing", "solids"), ("mesh_file", "solids"), ("outputs", "sheet")}
+HELPERS = {
+    ("scene", "units"),
+    ("sizing", "solids"),
+    ("mesh_file", "solids"),
+    ("outputs", "sheet"),
+    ("inclusions", "shapes"),
+    ("scene", "limits"),
+    ("limits", "units"),
+}
 HOMES = {"pytetwild": {"meshing"}, "warp": {"fem"}, "mitsuba": {"optics"}, "drjit": {"optics"}, "torch": set()}
 LEARN_MAY_USE = set().union(*LAYERS[:6])
 

@@ -63,6 +63,20 @@ def test_constants_of_a_law() -> None:
     assert build_scene(tomllib.loads(dump_scene(ogden))) == ogden
 
 
+def test_skin_and_grains_are_tables_of_the_object() -> None:
+    file = {"object": {"skin": {"thickness_mm": 0.5, "shore_a": 30}, "grains": {"count": 3, "shore_00": 60}}}
+    body = build_scene(file, {"object": {"skin": {"youngs_modulus_kpa": 800}}}).object
+    assert (body.skin.thickness_mm, body.skin.shore_a, body.skin.youngs_modulus_kpa) == (0.5, None, 800.0)
+    assert (body.grains.count, body.grains.radius_mm, body.shore_00) == (3, 1.0, 30.0)
+    scene = build_scene(file)
+    assert build_scene(tomllib.loads(dump_scene(scene))) == scene
+    assert "skin" not in tomllib.loads(dump_scene(build_scene()))["object"]
+    # what a tomato and a candy are made of unless told otherwise; a rigid one has only its shape
+    tomato, candy = (build_scene({"object": {"shape": shape}}).object for shape in ("tomato", "candy"))
+    assert (tomato.skin.thickness_mm, tomato.skin.shore_a, candy.grains.count, candy.grains.shore_a) == (0.5, 20.0, 20, 45.0)
+    assert build_scene({"object": {"shape": "tomato", "rigid": True}}).object.skin == build_scene().object.skin
+
+
 def test_preset_fills_and_file_overrides(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("[gel]\nthickness_mm = 3.0\nshore_00 = 25\n", encoding="utf-8")
     (tmp_path / "scene.toml").write_text('[sensor]\npreset = "mine.toml"\n[gel]\nthickness_mm = 3.5\n', encoding="utf-8")
@@ -129,6 +143,25 @@ BAD = {
     "unknown constant": ('[object]\nlaw = "yeoh"\nlaw_constants = {c2_by_c1 = 0.1}', "did you mean 'c2_over_c1'"),
     "constant of another law": ("[object]\nlaw_constants = {alpha = [3]}", 'alpha is a constant of law = "ogden", but law = "neo-hookean"'),
     "constants that are none": ("[object]\nlaw_constants = 3", "object.law_constants = 3: expected a table"),
+    "skin without hardness": ("[object.skin]\nthickness_mm = 1", "object.skin has no hardness: give exactly one of"),
+    "hardness of no skin": ("[object.skin]\nshore_a = 30", "object.skin.shore_a = 30, but object.skin.thickness_mm = 0: give thickness_mm"),
+    "grains of two hardnesses": ("[object.grains]\ncount = 3\nshore_a = 30\nshore_00 = 20", "give exactly one of shore_00, shore_a"),
+    "grains too hard": ("[object.grains]\ncount = 3\nshore_a = 95", "object.grains.shore_a: Shore A reading 95: allowed is 20"),
+    "skin of a file": (
+        '[object]\nshape = "mesh"\nmesh = "a.stl"\nskin = {thickness_mm = 1, shore_a = 30}',
+        'object.skin.thickness_mm = 1: shape = "mesh" has none; allowed for flat',
+    ),
+    "unknown key of a skin": ("[object.skin]\nthickness = 1", "unknown key 'object.skin.thickness'; did you mean 'thickness_mm'"),
+    "shares without times": ("[gel]\nprony_g = [0.1]", "gel.prony_g has 1 values, prony_tau_s 0"),
+    "shares of everything": ("[object]\nprony_g = [0.5, 0.5]\nprony_tau_s = [1, 2]", "object.prony_g sums to 1: it must stay below 1"),
+    "share of nothing": ("[object]\nprony_g = [0]\nprony_tau_s = [1]", "object.prony_g = 0: a share must be positive"),
+    "hold without viscosity": ("[press]\nhold_s = 2", "press.hold_s = 2 s: nothing relaxes meanwhile"),
+    "wall thicker than the tube": (
+        '[object]\nshape = "tube"\nwall_mm = 6',
+        "object.wall_mm = 6 mm: allowed for a tube of that",
+    ),
+    "tube without a foot": ('[object]\nshape = "tube"\nheight_mm = 8', "object.height_mm = 8 mm: a tube needs more than 9 mm"),
+    "waves too steep": ('[object]\nshape = "rough"\namplitude_mm = 2', "object.amplitude_mm = 2 mm: allowed is up to 1.43 mm"),
     "exponent zero": ('[object]\nlaw = "ogden"\nlaw_constants = {alpha = [0.01]}', "object.law_constants.alpha = 0.01: its size must"),
     "exponent too large": ('[object]\nlaw = "ogden"\nlaw_constants = {alpha = [99]}', "object.law_constants.alpha = 99: allowed is -25"),
     "weights missing": ('[object]\nlaw = "ogden"\nlaw_constants = {alpha = [2, 3]}', "object.law_constants.weight is missing"),

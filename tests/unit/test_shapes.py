@@ -1,5 +1,6 @@
 """Shapes: closed, of the right volume, on the exact surface, placed so that they just touch; and files that are no solids."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,21 @@ import pytest
 import trimesh
 
 from gelsim.errors import SceneError
-from gelsim.geometry import enclosed_volume, face_shape_functions, is_closed
-from gelsim.scene import Body, Gel, Press, Scene
-from gelsim.shapes import gel_height, object_surface, placement, press_symmetry, project, rigid_surface, shape_symmetry
+from gelsim.geometry import TriMesh, enclosed_volume, face_shape_functions, is_closed
+from gelsim.inclusions import flesh, grain_centres
+from gelsim.scene import Body, Gel, Grains, Press, Scene, Skin
+from gelsim.shapes import (
+    gel_height,
+    object_surface,
+    placement,
+    press_symmetry,
+    project,
+    rigid_surface,
+    shape_symmetry,
+    sharp_edges,
+    solid,
+)
+from gelsim.solids import solid_surface
 
 PI = np.pi
 DOME_RADIUS = (12.5**2 + 1.4**2) / 2.8  # mm, of the default dome: 1.4 mm deep at 12.5 mm
@@ -49,6 +62,115 @@ VOLUMES = [
     (Body(shape="box"), 10 * 15 * 25.0),
 ]
 BODIES = [body for body, _ in VOLUMES] + [Body(shape="corner"), Body(shape="corner", width_mm=3, height_mm=20)]
+
+
+# Shapes that are not convex, or uneven below; volumes in mm³ by hand.
+K5 = 2 * PI / 3 * 5  # of waves of 3 mm, half of a block of 10 mm across
+MEAN = np.sin(K5) / K5  # of a cosine over the block
+OTHERS = [
+    # a ring of 25π - 16π, and a foot of 6 mm above it: 2 ∫ (25 - 5 - √(25 - x²)) dx to x = 3
+    (Body(shape="tube"), 25 * (9 * PI + 2 * (60 - (6 + 12.5 * np.arcsin(0.6))))),
+    (Body(shape="shell"), 2 / 3 * PI * (125 - 64) + PI * (25 - 16) * 20),
+    (Body(shape="torus"), PI**2 * 5 * 1.25**2 + PI * 6.25**2 * (25 - 1.25)),
+    (Body(shape="tomato"), 4 / 3 * PI * 125 - cap(5, 1) + PI * 9 * (25 - 9)),
+    (Body(shape="wave"), 100 * (25 - 0.1 * (1 - MEAN))),
+    (Body(shape="emboss"), 100 * (25 - 0.2 * (1 - (1 + MEAN) ** 2 / 4))),
+]
+
+
+@pytest.mark.parametrize("symmetry", ["", "x", "xy"])
+@pytest.mark.parametrize(("body", "expected"), OTHERS, ids=[body.shape for body, _ in OTHERS])
+def test_volumes_of_shapes_that_are_not_convex(body: Body, expected: float, symmetry: str) -> None:
+    chord = 4e-6
+    surface = object_surface(body, edge_length=4e-3, chord=chord, symmetry=frozenset(symmetry))
+    assert is_closed(surface.faces)
+    found = enclosed_volume(surface) * 1e9 * 2 ** len(symmetry)
+    # as in test_volumes, but that chords of a hollow lie on its other side
+    area = trimesh.Trimesh(surface.vertices, surface.faces, process=False).area * 2 ** len(symmetry)
+    assert abs(found - expected) <= 4 / 3 * chord * area * 1e9
+    assert surface.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-15)
+    edges = sharp_edges(body)
+    if body.shape in ("torus", "tomato"):  # creases point inward or lie at the base
+        assert not len(edges)
+    for axis in symmetry:
+        assert surface.vertices[:, "xy".index(axis)].min() == 0.0
+
+
+def test_a_tube_has_the_wall_it_says() -> None:
+    body = Body(shape="tube", radius_mm=4, wall_mm=0.6, height_mm=12, length_mm=10)
+    surface = object_surface(body, edge_length=2e-3, chord=2e-6)
+    out = np.hypot(surface.vertices[:, 0], surface.vertices[:, 2] - 4e-3) * 1e3
+    ring = (surface.vertices[:, 2] < 4e-3) & (np.abs(surface.vertices[:, 1]) < 5e-3)  # but the ends, flat between both
+    bore, outside = ring & (out < 3.7), ring & (out > 3.7)
+    assert bore.any() and outside.any()
+    assert np.abs(out[bore] - 3.4).max() < 1e-9 and np.abs(out[outside] - 4.0).max() < 1e-9
+    assert shape_symmetry(body) == {"x", "y"}
+
+
+def test_rough_heights_are_band_limited_and_seeded() -> None:
+    body = Body(shape="rough", amplitude_mm=0.15, wavelength_mm=2.0, height_mm=6)
+    field = solid(body).patches[0]
+    kx, ky, _, size = np.array(field.waves).T  # type: ignore[union-attr]
+    lengths = 2 * PI / np.hypot(kx, ky) * 1e3
+    assert 2.0 <= lengths.min() < 2.02 and 7.0 < lengths.max() <= 8.0
+    assert (size**2).sum() / 2 == pytest.approx(0.15e-3**2, rel=1e-12)  # the variance of a sum of waves
+    x = np.linspace(-5e-3, 5e-3, 801)
+    z, slopes = field.heights(np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2))  # type: ignore[union-attr]
+    # off the lowest point by half a step of 12.5 µm both ways: k² a ~ 1.5 mm⁻¹ of curvature lifts it by 0.06 µm
+    assert 0.0 <= z.min() < 0.1e-6
+    assert 0.5 * 0.15e-3 < z.std() < 2 * 0.15e-3
+    h = 1e-8
+    along, _ = field.heights(np.array([[1e-3 + h, 2e-3], [1e-3 - h, 2e-3]]))  # type: ignore[union-attr]
+    assert field.heights(np.array([[1e-3, 2e-3]]))[1][0, 0] == pytest.approx((along[0] - along[1]) / (2 * h), rel=1e-6)  # type: ignore[union-attr]
+    other = solid(replace(body, pattern_seed=1)).patches[0]
+    assert other != field and solid(replace(body, shore_00=50.0)).patches[0] == field
+    assert not shape_symmetry(body) and abs(slopes).max() < 5
+
+
+# ---------------------------------------------------------------------------------------------------------------- what lies inside
+SKIN = Skin(thickness_mm=0.5, shore_a=30)
+FLESH = [  # volumes in mm³ by hand
+    (Body(shape="hemisphere", skin=SKIN), 2 / 3 * PI * 4.5**3 + PI * 4.5**2 * 20),
+    (Body(shape="cylinder", skin=SKIN), 24 * (PI * 4.5**2 / 2 + 9 * 20)),
+    (Body(shape="box", skin=SKIN), 9 * 14 * 24.5),
+    (Body(shape="cone", skin=SKIN), PI * 4.5**3 / 3 + PI * 4.5**2 * (25 - 4.5 - 0.5 * np.sqrt(2))),
+    (Body(shape="edge", skin=SKIN), 24 * (12**2 + 24 * (25 - 12 - 0.5 * np.sqrt(2)))),
+    # ball of 4.5 about z = 5, foot of 2.5 from where it leaves the ball
+    (Body(shape="tomato", skin=SKIN), 4 / 3 * PI * 4.5**3 - cap(4.5, sagitta(4.5, 2.5)) + PI * 2.5**2 * (25 - 5 - np.sqrt(14.0))),
+]
+
+
+@pytest.mark.parametrize(("body", "expected"), FLESH, ids=[body.shape for body, _ in FLESH])
+def test_flesh_lies_a_thickness_inside(body: Body, expected: float) -> None:
+    vertices, faces, patch = solid_surface(flesh(body), 2e-3, 2e-6)
+    area = trimesh.Trimesh(vertices, faces, process=False).area
+    assert is_closed(faces)
+    assert abs(enclosed_volume(TriMesh(vertices, faces)) * 1e9 - expected) <= 4 / 3 * 2e-6 * area * 1e9 + 1e-9 * expected
+    role = np.array(flesh(body).roles)[patch]
+    inside = np.unique(faces[role == "contact"])
+    away = np.linalg.norm(project(body, vertices[inside]) - vertices[inside], axis=1)
+    away = away[vertices[inside, 2] < 24e-3]  # nearer the base it is the base that is closest
+    assert away.min() > 0.5e-3 - 1e-12
+    assert np.median(away) == pytest.approx(0.5e-3, abs=1e-12)  # but at creases, farther
+
+
+def test_a_skin_that_leaves_nothing_is_an_error() -> None:
+    with pytest.raises(SceneError, match="object.skin.thickness_mm = 5 mm leaves nothing of the punch"):
+        flesh(Body(shape="punch", skin=Skin(thickness_mm=5, shore_a=30)))
+
+
+def test_grains_keep_their_distance() -> None:
+    body = Body(shape="hemisphere", height_mm=12, grains=Grains(count=25, radius_mm=0.8, shore_a=45), skin=SKIN)
+    centres = grain_centres(body)
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(25, 1)]
+    assert apart.min() > 2.25 * 0.8e-3
+    away = np.linalg.norm(project(body, centres) - centres, axis=1)
+    assert away[centres[:, 2] < 9e-3].min() > 0.5e-3 + 1.25 * 0.8e-3 - 1e-9 and away.min() > 1.25 * 0.8e-3 - 1e-9  # the base has no skin
+    assert np.array_equal(centres, grain_centres(replace(body, grains=replace(body.grains, shore_a=60))))
+    assert not np.array_equal(centres, grain_centres(replace(body, grains=replace(body.grains, seed=1))))
+    assert not shape_symmetry(body)
+    with pytest.raises(SceneError, match=r"object.grains.count = 500: only \d+ of radius 0.8 mm found room in the hemisphere"):
+        grain_centres(replace(body, grains=replace(body.grains, count=500)))
 
 
 def name(body: Body) -> str:
