@@ -45,6 +45,8 @@ MARGIN_MM = 0.3
 """Gap under which a pair of faces is given its place in the matrix: wider than for one press, as a new order costs all scenes."""
 FORCING = 0.1
 """|R + K step|/|R| to which a step is solved; a scene whose factor does not bring it there in time gets a new one for its next step."""
+EXACT = 1e-6
+"""… where rough steps did not help."""
 POOR = 0.5
 """… above which the step is not taken but solved anew at once."""
 REACH_MM = 2.0
@@ -248,6 +250,8 @@ class _Batch:
     def iterate(self, active: Mask, residual: _Residual) -> _Residual:
         """One Newton iteration of the active scenes: steps by GMRES on the factors there are, by new ones where those are too old."""
         self._assemble(residual.imbalance < GEOMETRIC_BELOW)
+        # a scene that does not get there soon goes on with steps of its own factors, solved to the end
+        self.old |= self.iteration >= FREEZE_AFTER
         self._factorise(active & (self.old | ~self.system.factored))
         poor = self._solve(active)
         if poor.any():
@@ -283,11 +287,12 @@ class _Batch:
 
     def _solve(self, wanted: Mask) -> Mask:
         """Steps of the wanted scenes; returns those whose factors were of no use."""
+        forcing = np.where(self.iteration < FREEZE_AFTER, FORCING, EXACT)
         with self._stage("solve"):
-            used, left = self.gmres.solve(self._product, self.system.solve, self.equations, self.step, wanted, FORCING)
+            used, left = self.gmres.solve(self._product, self.system.solve, self.equations, self.step, wanted, forcing)
         if self.costs is not None:
             self.costs.systems["solve"] = self.costs.systems.get("solve", 0) + int(used.sum())
-        self.old |= wanted & ~(left <= FORCING)
+        self.old |= wanted & ~(left <= forcing)
         return wanted & ~(left <= POOR)
 
     def _product(self, v: wp.array, out: wp.array) -> None:

@@ -103,11 +103,12 @@ class BatchedGmres:
         self.factor1 = wp.zeros(count, dtype=wp.float64, device=device)
 
     def solve(self, product: Callable[[wp.array, wp.array], None], precondition: Callable[[wp.array, wp.array, Mask], None], b: wp.array,
-              x: wp.array, which: Mask, tolerance: float, limit: int = LIMIT) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
+              x: wp.array, which: Mask, tolerance: float | Array, limit: int = LIMIT) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
         """Solves the systems `which` into x; the others' places are left alone.
 
         Args:
             product: Writes the product of all systems' matrices with its first argument into its second.
+            tolerance: |b - K x|/|b| to stop at, of all or of each system.
             precondition: Writes M⁻¹ of its first argument into its second, for the systems of the mask.
         Returns:
             Products used by each system, and the residual that is left over |b|.
