@@ -225,26 +225,32 @@ def press_sensitivity(scene: Scene, points_mm: Sequence[tuple[float, float]] = (
 
 
 def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64, progress: Progress | None = None) -> list[Deformation]:
-    """Solves many presses; those with the same meshes side by side, up to `size` at once. A press that fails says so in its `status`.
+    """Solves many presses: those that reduce to a profile one by one, the others side by side where they have the same meshes.
+
+    A press that fails says so in its `status`.
 
     Args:
         device: "auto" takes a CUDA device where there is one; on the CPU a batch is no faster than its presses one by one.
+        size: Most presses of a batch.
     Raises:
         SceneError, MeshingError: as `press`, before anything is solved.
     """
     from gelsim.fem import batch_device, solve_batch
 
     groups: dict[bytes, list[int]] = {}
-    prepared, known = [], {}
+    prepared, known = {}, {}
+    presses: dict[int, Deformation] = {}
     for number, scene in enumerate(scenes):
+        if choose_reduction(scene).planar:
+            presses[number] = press(scene, throw=False)
+            continue
         shape = _geometry(scene)
         if shape not in known:
             known[shape] = bodies(scene)
         gel, body, placement = known[shape]
-        prepared.append((scene, gel, body, placement))
+        prepared[number] = (scene, gel, body, placement)
         cells = gel.tets, body.tets if isinstance(body, TetMesh) else body.faces
         groups.setdefault(b"".join(array.tobytes() for array in cells), []).append(number)
-    presses: dict[int, Deformation] = {}
     for members in groups.values():
         for start in range(0, len(members), size):
             some = members[start : start + size]

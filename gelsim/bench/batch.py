@@ -40,7 +40,7 @@ def _cases(options: Options) -> Iterator[Case]:
         sizes = {"fast": (64, 256), "balanced": (1, 4, 16, 64, 128), "reference": (64,)}
     for fidelity, batches in sizes.items():
         for batch in batches:
-            yield Case(f"quarter, {fidelity}, batch of {batch}", partial(_measure, "auto", fidelity, batch, device))
+            yield Case(f"quarter, {fidelity}, batch of {batch}", partial(_measure, "mirror", fidelity, batch, device))
     if device != "cpu" and not options.quick:
         yield Case("quarter, balanced, 3 processes with a batch of 64", partial(_side_by_side, 3, "balanced", 64, device))
         for batch in (4, 32):
@@ -82,7 +82,7 @@ def _side_by_side(processes: int, fidelity: str, batch: int, device: str) -> Row
 def _child(fidelity: str, batch: int, device: str, ready: Any, done: Any) -> None:
     from gelsim.fem import solve_batch
 
-    scenes = _scenes("auto", fidelity, batch)
+    scenes = _scenes("mirror", fidelity, batch)
     solve_batch(scenes[:2], device=device)
     ready.wait(300)
     presses = solve_batch(scenes, device=device)
