@@ -236,6 +236,7 @@ def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64
         SceneError, MeshingError: as `press`, before anything is solved.
     """
     from gelsim.fem import batch_device, solve_batch
+    from gelsim.reductions import choose_reduction
 
     groups: dict[bytes, list[int]] = {}
     prepared, known = {}, {}

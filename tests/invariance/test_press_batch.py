@@ -30,7 +30,7 @@ def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene
             "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0},
             "object": {"shape": "hemisphere", "radius_mm": 5.0, "youngs_modulus_kpa": modulus},
             "contact": {"friction_coefficient": friction},
-            "press": {"depth_mm": 0.6, "force_n": "none", "frames": 4} | press,
+            "press": {"depth_mm": 0.6, "force_n": "none", "frames": 4, "symmetry": "mirror"} | press,
         }
     )
 
@@ -110,6 +110,12 @@ def test_gmres_against_numpy() -> None:
     assert left[0] <= 1e-3 and 0 < used[0] < used[1]
     assert (found[2] == 7.0).all() and used[2] == 0
     assert (found[3] == 0.0).all()
+
+
+def test_what_reduces_to_a_profile_is_not_batched() -> None:
+    reduced, solid = pipeline.press_batch([scene(200.0, symmetry="auto"), scene(200.0)], device="cpu")
+    assert reduced.info["unknowns"] < solid.info["unknowns"]
+    assert reduced.force[-1, 2] == pytest.approx(solid.force[-1, 2], rel=0.05)  # `fast`: within 5 % each
 
 
 @pytest.mark.gpu
