@@ -80,6 +80,8 @@ _COARSE = np.radians(30.0)
 """Angle between the corners of a turned object before its surface is refined: at 15 degrees a foot would get edges of a quarter radius."""
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
+_ALONG = 5.0
+"""Twist [degrees] up to which a drawn object still lies along the long sides of tets: turned by it, 3 : 1 becomes 2.9 : 1.1."""
 _ATTEMPTS = ((0.05, 10.0, 20), (0.02, 6.0, 80), (0.1, 6.0, 80))
 """How far fTetWild may move the surface before its vertices are put back, per smallest edge length; its AMIPS energy to stop at (a
 regular tet has 3); the passes it may take. The next is tried when one leaves a bad tet; a smaller envelope costs more tets."""
@@ -243,7 +245,7 @@ def footprint(scene: Scene) -> Footprint:
     high_class = np.minimum([class_above(v) for v in outer], half)
     low_class = [class_below(v) for v in inner]
     width = high_class - low_class
-    drawn = scene.object.shape in DRAWN and not scene.press.twist_deg
+    drawn = scene.object.shape in DRAWN and abs(scene.press.twist_deg) <= _ALONG
     stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
     round_area = scene.object.shape in TURNED and not any(low_class)
     return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch, round_area)

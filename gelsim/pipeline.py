@@ -225,7 +225,7 @@ def press_sensitivity(scene: Scene, points_mm: Sequence[tuple[float, float]] = (
 
 
 def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64, progress: Progress | None = None) -> list[Deformation]:
-    """Solves many presses: those that reduce to a profile one by one, the others side by side where they have the same meshes.
+    """Solves many presses: those that reduce to a profile or relax one by one, the others side by side where they have the same meshes.
 
     A press that fails says so in its `status`.
 
@@ -242,7 +242,8 @@ def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64
     prepared, known = {}, {}
     presses: dict[int, Deformation] = {}
     for number, scene in enumerate(scenes):
-        if choose_reduction(scene).planar:
+        remembers = scene.gel.prony_g or (scene.object.prony_g and not scene.object.rigid)
+        if choose_reduction(scene).planar or remembers:
             presses[number] = press(scene, throw=False)
             continue
         shape = _geometry(scene)

@@ -54,6 +54,14 @@ def _cases(options: Options) -> Iterator[Case]:
     yield case("half off the gel", press={"offset_mm": [11.0, 0.0]})
     yield case("tilted block, its border inside the contact", {"shape": "box"}, {"tilt_deg": [3.0, 5.0], "depth_mm": 0.6})
     yield case("cone", {"shape": "cone"})
+    tube: Layer = {"shape": "tube", "radius_mm": 4.0, "height_mm": 10.0, "wall_mm": 0.8, "length_mm": 8.0, "shore_00": 20.0}
+    yield case("a thin-walled tube flattened by two thirds of its bore", tube, {"depth_mm": 4.5}, gel={"profile": "flat", "shore_a": 40.0})
+    yield case("a rough surface", {"shape": "rough", "amplitude_mm": 0.1, "wavelength_mm": 3.0, "width_mm": 6.0, "length_mm": 6.0,
+                                   "height_mm": 6.0}, {"depth_mm": 0.5})  # fmt: skip
+    yield case(
+        "a skin of 1 mm, ten times stiffer", {"youngs_modulus_kpa": 60.0, "skin": {"thickness_mm": 1.0, "youngs_modulus_kpa": 600.0}}
+    )
+    yield case("stiff grains in a soft body", {"shape": "candy"})
     yield Case("a mesh of poor quality", lambda: _spoiled(plain.scene or {}), plain.scene)
     yield case("one load step", press={"frames": 2})
     yield case("50 load steps", press={"frames": 51})

@@ -76,7 +76,7 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
 def march_press(problem: PressProblem, progress: Progress | None = None) -> Generator[Request, NewtonReport, Deformation]:
     """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all."""
     press = problem.scene.press
-    depth = press.depth_mm / MM if press.depth_mm is not None else (yield from _find_depth(problem))
+    depth, beyond = (press.depth_mm / MM, "") if press.depth_mm is not None else (yield from _find_depth(problem))
     march = _March(problem, press, depth)
     yield from march.run(depth / (press.frames - 1), press.frames, progress)
     message = ""
@@ -88,20 +88,27 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     deformation = march.recorder.deformation(march.status, message, march.halved)
     deformation.info["energy"] = march.energy.report()
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        told = f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm"
+        told = f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{beyond}"
         deformation.info["warnings"] = [*deformation.info.get("warnings", []), told]  # type: ignore[misc]
     return deformation
 
 
-def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, float]:
-    """Approach [m] at which the force that ends the press is reached, straight down; leaves the problem at first touch again."""
+def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple[float, str]]:
+    """Approach [m] at which the force that ends the press is reached, straight down; leaves the problem at first touch again.
+
+    Where it is not reached: as far as there is an equilibrium, or the limit, and why no further.
+    """
     scene = problem.scene
     limit = _depth_limit(scene)
     march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s), limit)
     yield from march.run(SEARCH_STEP, int(limit / SEARCH_STEP) + 2, None)
     problem.reset()
-    # where even that march fails, the recorded one shall run into it and say so
-    return march.approach if march.stopped else limit
+    if march.stopped:
+        return march.approach, ""
+    # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
+    if march.status is not SolveStatus.CONVERGED and march.approach > 0.0:
+        return march.approach, f" with {march.normal_force:.3g} N; further on {march.status.value}"
+    return limit, ""
 
 
 def _depth_limit(scene: Scene) -> float:
