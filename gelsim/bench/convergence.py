@@ -85,8 +85,8 @@ SECTION = Section(
     columns=(
         ("case", "name"), ("shortest edge [mm]", "edges_mm"), ("unknowns", "unknowns"), ("force at 1 mm [N]", "force_n"),
         ("error [%]", "force_error_percent"), ("order", "force_order"), ("contact radius [mm]", "radius_mm"),
-        ("error [%]", "radius_error_percent"), ("order", "radius_order"), ("profile, RMS [µm]", "profile_rms_um"), ("order", "profile_order"),
-        ("seconds", "seconds"),
+        ("error [%]", "radius_error_percent"), ("order", "radius_order"), ("profile, RMS [µm]", "profile_rms_um"),
+        ("order", "profile_order"), ("seconds", "seconds"),
     ),
     cases=_cases,
     judge=_judge,
