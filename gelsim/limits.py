@@ -22,6 +22,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
 WITH_PARTS = ("flat", "hemisphere", "cylinder", "edge", "cone", "box", "frustum", "punch", "tomato", "candy")
 """Shapes that may have a skin and grains."""
 
+SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
+"""Terms of a polynomial over the picture without its constant -> its degree."""
+
 # Inclusive bounds of every number in a field, in the unit of its name. Only Shore readings have no row: their relations bound them.
 LIMITS: dict[str, tuple[float, float]] = {
     "seed": (0, 2**32 - 1),
@@ -78,6 +81,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "camera.exposure": (1e-6, 1e6),
     "camera.white_balance": (0, 100),
     "camera.noise_sd": (0, 255),
+    "camera.gamma": (0.2, 5),
+    "camera.shading": (-10, 10),
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
     "lights.gel_ior": (1, 3),

@@ -13,6 +13,8 @@ third order in the node spacing; a test measures it), the coat's own thickness, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +33,17 @@ def rest_membrane(scene: Scene) -> Membrane:
     centres = marker_layout(scene).centres
     displacement = np.zeros((len(grid) + len(centres), 3))
     return _assemble(scene, grid, faces, columns, centres, displacement)
+
+
+def moved_membrane(scene: Scene, displacement: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Membrane:
+    """The coated surface under a displacement field known by other means than a press.
+
+    Args:
+        displacement: Takes rest places x, y [m] (M, 2) to displacements [m] (M, 3).
+    """
+    grid, faces, columns = _material_grid(scene)
+    centres = marker_layout(scene).centres
+    return _assemble(scene, grid, faces, columns, centres, displacement(np.concatenate([grid, centres])))
 
 
 def membrane_states(scene: Scene, deformation: Deformation) -> list[Membrane]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 from gelsim import materials
 from gelsim.errors import MaterialError, SceneError
-from gelsim.limits import CHOICES, LIMITS, WITH_PARTS
+from gelsim.limits import CHOICES, LIMITS, SHADING_DEGREES, WITH_PARTS
 from gelsim.units import unit_of
 
 Vec2 = tuple[float, float]
@@ -220,6 +220,10 @@ class Camera:
     """Image value (1 = white) of a radiance of 1; fixed, so that frames and presses can be compared."""
     white_balance: Vec3 = (1.0, 1.0, 1.0)
     """Gains of red, green and blue."""
+    gamma: float = 1.0
+    """Exponent on the sRGB curve; above 1 the picture is darker and of more contrast."""
+    shading: tuple[float, ...] = ()
+    """A smooth gain over the picture: exponents of red, green and blue for each of u, v, u^2, uv, v^2, ... (docs/optics.md); none = 1."""
     noise_sd: Vec3 = (0.0, 0.0, 0.0)
     """Standard deviation of the camera's noise in red, green and blue [levels of 255]; 0 = none."""
 
@@ -518,6 +522,10 @@ def _check_parts(body: Body) -> None:
 
 
 def _check_optics(scene: Scene) -> None:
+    shading = len(scene.camera.shading)
+    if shading and (shading % 3 or shading // 3 not in SHADING_DEGREES):
+        allowed = ", ".join(str(3 * count) for count in SHADING_DEGREES)
+        raise SceneError(f"camera.shading has {shading} numbers: red, green and blue of every term of a degree are {allowed}, or none")
     for light in scene.lights.lights:
         if light.position_mm[2] >= 0:
             raise SceneError(f"lights.lights {light.name!r}: position_mm has z = {light.position_mm[2]:g} mm; inside is below 0")

@@ -1,6 +1,6 @@
 """From radiance to the 8-bit picture the sensor's camera delivers: exposure, white balance, tone curve, noise.
 
-    level = 255 · sRGB( exposure · gain_c · L_c ),     sRGB after IEC 61966-2-1,
+    level = 255 · sRGB( exposure · gain_c · shading_c · L_c )^gamma,     sRGB after IEC 61966-2-1, shading: `optics.shading`,
 
 plus normal noise of `camera.noise_sd` levels, clipped and rounded. The exposure is the preset's, never automatic, so that frames and
 presses can be compared. Left out: vignetting, Bayer mosaic, compression, crosstalk between the colours.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.optics.shading import shading_gain
 from gelsim.scene import Scene
 
 
@@ -24,7 +25,10 @@ def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDAr
         Shape (H, W, 3).
     """
     camera = scene.camera
+    radiance = (radiance * shading_gain(scene)).astype(np.float32)
     levels = 255.0 * srgb_tone(radiance * (camera.exposure * np.array(camera.white_balance, np.float32)))
+    if camera.gamma != 1.0:
+        levels = 255.0 * (levels / 255.0) ** camera.gamma
     if any(camera.noise_sd):
         rng = np.random.default_rng([scene.seed, index])
         levels = levels + rng.standard_normal(levels.shape) * np.array(camera.noise_sd)
