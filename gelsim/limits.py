@@ -16,6 +16,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "object.law": materials.LAWS,
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
     "markers.layout": ("grid", "none"),
+    "camera.tone": ("srgb", "linear"),
     "render.mode": ("path", "direct"),
 }
 
@@ -82,6 +83,11 @@ LIMITS: dict[str, tuple[float, float]] = {
     "camera.white_balance": (0, 100),
     "camera.noise_sd": (0, 255),
     "camera.gamma": (0.2, 5),
+    "camera.offset_mm": (-100, 100),
+    "camera.tilt_deg": (-45, 45),
+    "camera.distortion": (-1, 1),
+    "camera.full_well": (0, 1e7),
+    "camera.read_noise": (0, 1),
     "camera.shading": (-10, 10),
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
@@ -91,6 +97,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lights.lights.size_mm": (0.01, 200),
     "lights.lights.rgb": (0, 1e6),
     "lights.lights.power": (0, 1e9),
+    "lights.lights.lobe": (1, 100),
     "coating.albedo": (0, 1),
     "coating.specular": (0, 1),
     "coating.roughness": (0.01, 1),

@@ -396,6 +396,7 @@ def _choose_renderer(scene: Scene, device: str, record: Record) -> ModuleType:
         variant = optics.choose_variant(device)
     record.choices["variant"] = variant.name
     record.choices["variant_reason"] = variant.reason
+    record.warnings += optics.left_out(scene, variant)
     return optics
 
 

@@ -225,7 +225,21 @@ class Camera:
     shading: tuple[float, ...] = ()
     """A smooth gain over the picture: exponents of red, green and blue for each of u, v, u^2, uv, v^2, ... (docs/optics.md); none = 1."""
     noise_sd: Vec3 = (0.0, 0.0, 0.0)
-    """Standard deviation of the camera's noise in red, green and blue [levels of 255]; 0 = none."""
+    """Standard deviation of the camera's noise in red, green and blue after the tone curve [levels of 255]; 0 = none."""
+    offset_mm: Vec2 = (0.0, 0.0)
+    """Of the pinhole from the gel's axis."""
+    tilt_deg: Vec2 = (0.0, 0.0)
+    """Of the camera about x and y through its pinhole."""
+    distortion: Vec2 = (0.0, 0.0)
+    """Radial, k1 and k2: a point rho half diagonals from the picture's centre looks where rho (1 + k1 rho^2 + k2 rho^4) would."""
+    fresnel: bool = False
+    """True: the window reflects away a little more of slanting rays (relative to the picture's centre; below 1 % for 40 degrees)."""
+    full_well: Vec3 = (0.0, 0.0, 0.0)
+    """Electrons of a white pixel in red, green and blue: shot noise has a variance of that of the number of electrons; 0 = none."""
+    read_noise: Vec3 = (0.0, 0.0, 0.0)
+    """Standard deviation of the noise before the tone curve in red, green and blue [share of white]; 0 = none."""
+    tone: str = "srgb"
+    """"srgb": IEC 61966-2-1 | "linear": none."""
 
 
 @dataclass(frozen=True)
@@ -243,6 +257,8 @@ class Light:
     """Colour as the camera sees it on a white surface (linear)."""
     power: float = 1.0
     """Radiant flux of a channel whose rgb is 1 [mW; only ratios matter, camera.exposure sets the scale]."""
+    lobe: float = 1.0
+    """Its intensity falls as cos^lobe: 1 is Lambertian, a lensed LED 2 to 20."""
 
 
 @dataclass(frozen=True)
@@ -251,6 +267,8 @@ class Lights:
     window_thickness_mm: float = 4.0
     window_ior: float = 1.49
     gel_ior: float = 1.41
+    window_reflection: bool = False
+    """True: the window's face to the air throws light back (Fresnel; all of it beyond 42 degrees), that of the lights and of the coat."""
 
 
 @dataclass(frozen=True)
@@ -536,6 +554,29 @@ def _check_optics(scene: Scene) -> None:
         raise SceneError(
             f"camera.distance_mm = {scene.camera.distance_mm:g} mm: the camera stands behind window and gel, "
             f"so it must exceed {inside:g} mm"
+        )
+    first, second = scene.camera.distortion
+    if any(1 + 3 * first * share + 5 * second * share**2 <= 0 for share in (i / 50 for i in range(51))):
+        raise SceneError(
+            f"camera.distortion = {first:g} {second:g}: the picture would fold back within its corners; nearer to 0 is allowed"
+        )
+    _check_view(scene)
+
+
+def _check_view(scene: Scene) -> None:
+    """The middle of what the camera sees must lie within half a field of the gel."""
+    camera, lights, gel = scene.camera, scene.lights, scene.gel
+    about_x, about_y = (math.radians(angle) for angle in camera.tilt_deg)
+    air = camera.distance_mm - lights.window_thickness_mm - gel.thickness_mm
+    centre = []
+    for offset, slope in zip(camera.offset_mm, (math.tan(about_y), -math.tan(about_x) / math.cos(about_y)), strict=True):
+        # Near the axis a path of length t in a medium of index n goes sideways as t/n does in air: enough to tell gel from no gel.
+        centre.append(offset + slope * (air + lights.window_thickness_mm / lights.window_ior + gel.thickness_mm / lights.gel_ior))
+    if any(abs(place) > (size + field) / 2 for place, size, field in zip(centre, gel.size_mm, camera.field_mm, strict=True)):
+        raise SceneError(
+            f"camera.offset_mm = {camera.offset_mm[0]:g} {camera.offset_mm[1]:g} mm and camera.tilt_deg = {camera.tilt_deg[0]:g} "
+            f"{camera.tilt_deg[1]:g}: the camera looks at ({centre[0]:.3g}, {centre[1]:.3g}) mm and sees no gel, which ends at "
+            f"({gel.size_mm[0] / 2:g}, {gel.size_mm[1] / 2:g}) mm"
         )
 
 

@@ -4,7 +4,7 @@ float64.
     L_o(x) = ρ/π Σ_lights ∫_A L cos θ cos θ' / r² dA,
 
 θ at the surface and θ' at the light, both clipped at 90°. The integral is a midpoint sum: its error falls with the square of the cells'
-size over the distance. The rays of the camera come from the pinhole of `optics.camera`. Written apart from the renderer, as its test;
+size over the distance. The rays come from `optics.camera`. Written apart from the renderer, as its test;
 shadows are left out.
 """
 
@@ -13,18 +13,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.optics.camera import apparent_distance, pixel_size
+from gelsim.optics.camera import pixel_rays
 from gelsim.scene import Light, Scene
 
 
 def plane_points(scene: Scene) -> NDArray[np.float64]:
     """Where the ray through each pixel's centre meets the plane z = 0 [m], shape (H, W, 3)."""
-    width, height = scene.render.resolution
-    pinhole = np.array([0.0, 0.0, -apparent_distance(scene)])
-    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    across, down = (column - width / 2) * pixel_size(scene), (row - height / 2) * pixel_size(scene)
-    ray = np.stack([across, down, np.full(column.shape, -pinhole[2])], axis=-1)
-    return pinhole + ray * (-pinhole[2] / ray[..., 2:])
+    origin, direction = pixel_rays(scene)
+    return origin - direction * (origin[..., 2:] / direction[..., 2:])
 
 
 def irradiance(light: Light, points: NDArray[np.float64], normals: NDArray[np.float64], cells: int = 8) -> NDArray[np.float64]:
@@ -41,8 +37,8 @@ def irradiance(light: Light, points: NDArray[np.float64], normals: NDArray[np.fl
     along = along / np.linalg.norm(along) if along.any() else np.array([1.0, 0.0, 0.0])
     up = np.cross(facing, along)
     steps = (np.arange(cells) + 0.5) / cells - 0.5
-    # Φ = π L A: the flux of a Lambertian face.
-    radiance = light.power * np.array(light.rgb) / (np.pi * light.size_mm[0] * light.size_mm[1])
+    # Of intensity L A cos^m over the hemisphere: Φ = 2 π L A / (m + 1); m = 1 is a Lambertian face.
+    radiance = light.power * np.array(light.rgb) * (light.lobe + 1) / (2 * np.pi * light.size_mm[0] * light.size_mm[1])
     cell_area = light.size_mm[0] * light.size_mm[1] / cells**2
     total = np.zeros((*points.shape[:-1], 3))
     for s in steps:
@@ -52,12 +48,13 @@ def irradiance(light: Light, points: NDArray[np.float64], normals: NDArray[np.fl
             squared = (path**2).sum(axis=-1)
             at_surface = np.clip((path * normals).sum(axis=-1), 0, None)
             at_light = np.clip(-(path * facing).sum(axis=-1), 0, None)
-            total += (at_surface * at_light / squared**2)[..., None] * radiance * cell_area
+            lobe = (at_light / np.sqrt(squared)) ** (light.lobe - 1)
+            total += (at_surface * at_light * lobe / squared**2)[..., None] * radiance * cell_area
     return total
 
 
-def lambert_plane(scene: Scene) -> NDArray[np.float64]:
-    """Radiance of a flat, unmarked, purely diffuse gel in each pixel's centre, shape (H, W, 3)."""
+def lambert_plane(scene: Scene, cells: int = 8) -> NDArray[np.float64]:
+    """Radiance of a flat, unmarked, purely diffuse gel in each pixel's centre, shape (H, W, 3); `cells` as for `irradiance`."""
     points = plane_points(scene)
     inward = np.array([0.0, 0.0, -1.0])
-    return sum(irradiance(light, points, inward) for light in scene.lights.lights) * np.array(scene.coating.albedo) / np.pi
+    return sum(irradiance(light, points, inward, cells) for light in scene.lights.lights) * np.array(scene.coating.albedo) / np.pi

@@ -1,9 +1,7 @@
-"""Membranes to pictures by path tracing (Mitsuba 3: Jakob et al. 2022).
+"""Membranes to pictures: the light by `optics.tracer` on Mitsuba's vectorised variants, by Mitsuba's own path tracer on scalar ones.
 
-Per pixel the mean over `render.spp` paths of the light that reaches the camera: L = ∫ f(ω, ω') L_i(ω') cos θ dω' at the membrane, its
-direct part by sampling points on the lights, its indirect part by sampling the coating. The random numbers are the same for every frame of
-one scene: a membrane that did not move gives the same pixels bit by bit, and a video does not flicker. Left out: see `optics.camera`
-(refraction of camera rays), `optics.lighting` (the window's outer face), `optics.coating`.
+The random numbers are the same for every frame of one scene: a membrane that did not move gives the same pixels bit by bit, and a video
+does not flicker. Left out: see `optics.tracer`, `optics.camera`, `optics.lighting`, `optics.coating`; `left_out` for scalar variants.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from gelsim.optics.camera import height_map, marker_pixels
 from gelsim.optics.isp import develop
 from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
+from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import VariantChoice, choose_variant, use_variant
 from gelsim.results import Frame, Membrane
 from gelsim.scene import Scene
@@ -50,32 +49,53 @@ def render_frames(
             progress(index + 1, len(membranes))
 
 
+def left_out(scene: Scene, variant: VariantChoice) -> list[str]:
+    """What of the scene this variant does not draw, in words for the report."""
+    if not variant.name.startswith("scalar"):
+        return []
+    missing = ["light that the window's outer face returns (lights.window_reflection)"] if scene.lights.window_reflection else []
+    missing += ["the lamps' lobes (lights.lights.lobe)"] if any(light.lobe != 1 for light in scene.lights.lights) else []
+    return [f"{variant.name} draws without {part}: pictures differ by some grey levels; LLVM or CUDA draws it" for part in missing]
+
+
 class Renderer:
     """A scene's camera, lights and coating, made ready once to draw many membranes."""
 
     def __init__(self, scene: Scene, variant: VariantChoice) -> None:
+        mi = use_variant(variant)
+        parts = scene_dict(scene)
         self._seed = scene.seed
-        self._spp = path_count(scene)
-        self._mitsuba = use_variant(variant)
-        self._parts = {name: _native(self._mitsuba, part) for name, part in scene_dict(scene).items()}
-        self._coating = self._mitsuba.load_dict(self._parts.pop("coating"))
-        self._scene = None
+        if variant.name.startswith("scalar"):
+            self._draw = ScalarRenderer(mi, scene, parts).radiance
+        else:
+            self._tracer = Tracer(mi, scene, scene.render.spp)
+            self._draw = self._trace
 
     def radiance(self, membrane: Membrane, seed: int | None = None) -> NDArray[np.float32]:
         """Linear RGB of the membrane, shape (H, W, 3); `seed` other than the scene's gives an independent estimate."""
-        mi = self._mitsuba
-        arrays = mesh_arrays(membrane)
-        if self._scene is None or mi.variant().startswith("scalar"):
-            # Scalar variants rebuild: they gain nothing from an update in place.
-            mesh = _mesh(mi, arrays, self._coating)
-            self._scene = mi.load_dict({**self._parts, "membrane": mesh})
-        else:
-            parameters = mi.traverse(self._scene)
-            parameters["membrane.vertex_positions"] = arrays["vertex_positions"].ravel()
-            parameters["membrane.vertex_normals"] = arrays["vertex_normals"].ravel()
-            parameters.update()
-        picture = mi.render(self._scene, spp=self._spp, seed=self._seed if seed is None else seed)
-        return np.array(picture, np.float32)
+        return self._draw(membrane, self._seed if seed is None else seed)
+
+    def _trace(self, membrane: Membrane, seed: int) -> NDArray[np.float32]:
+        self._tracer.place(membrane)
+        return np.array(self._tracer.picture(seed), np.float32)
+
+
+class ScalarRenderer:
+    """Mitsuba's own path tracer, camera and reflectances: slower, without the window's reflections and emission lobes.
+
+    It shares no equation of the light with `Tracer`, whose check it is in tests.
+    """
+
+    def __init__(self, mi: ModuleType, scene: Scene, parts: dict) -> None:
+        self._mitsuba, self._scene, self._spp = mi, scene, path_count(scene)
+        self._parts = {name: native(mi, part) for name, part in parts.items()}
+        self._coating = mi.load_dict(self._parts.pop("coating"))
+
+    def radiance(self, membrane: Membrane, seed: int) -> NDArray[np.float32]:
+        """Linear RGB, shape (H, W, 3)."""
+        mesh = _mesh(self._mitsuba, mesh_arrays(membrane, self._scene), self._coating)
+        scene = self._mitsuba.load_dict({**self._parts, "membrane": mesh})
+        return np.array(self._mitsuba.render(scene, spp=self._spp, seed=seed), np.float32)
 
 
 def _mesh(mi: ModuleType, arrays: dict[str, np.ndarray], coating: object) -> object:
@@ -96,10 +116,10 @@ def _mesh(mi: ModuleType, arrays: dict[str, np.ndarray], coating: object) -> obj
     return mesh
 
 
-def _native(mi: ModuleType, value: object) -> object:
+def native(mi: ModuleType, value: object) -> object:
     """Plain data with Mitsuba's own transforms and bitmaps in place of arrays."""
     if isinstance(value, dict):
-        return {key: _native(mi, item) for key, item in value.items()}
+        return {key: native(mi, item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
         return mi.ScalarTransform4f(value) if value.shape == (4, 4) else mi.Bitmap(value)
     return value

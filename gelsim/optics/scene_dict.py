@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from gelsim.optics.camera import apparent_distance, pixel_size
+from gelsim.optics.camera import apparent_distance, apparent_positions, pixel_size
 from gelsim.optics.coating import coating_dict
 from gelsim.optics.lighting import emitter_dict
 from gelsim.results import Membrane
@@ -27,7 +27,7 @@ INTEGRATORS = {
 
 
 def scene_dict(scene: Scene) -> dict:
-    """Camera, lights, coating and integrator; the membrane's mesh comes from `mesh_arrays`.
+    """Camera, lights, coating and integrator; for scalar variants; the mesh comes from `mesh_arrays`.
 
     Raises:
         SceneError: There is no light.
@@ -81,10 +81,14 @@ def camera_dict(scene: Scene) -> dict:
     }
 
 
-def mesh_arrays(membrane: Membrane) -> dict[str, np.ndarray]:
-    """The membrane as the light sees it, from inside: positions [mm], normals into the gel (-z at rest), uv, faces turned to match."""
+def mesh_arrays(membrane: Membrane, scene: Scene | None = None) -> dict[str, np.ndarray]:
+    """The membrane as the light sees it, from inside: positions [mm], normals into the gel (-z at rest), uv, faces turned to match.
+
+    With a scene its points are moved sideways, so that `camera_dict`'s pinhole sees each in the pixel of its refracted ray.
+    """
+    positions = membrane.positions if scene is None else apparent_positions(scene, membrane.positions)
     return {
-        "vertex_positions": np.ascontiguousarray(membrane.positions * MM, np.float32),
+        "vertex_positions": np.ascontiguousarray(positions * MM, np.float32),
         "vertex_normals": np.ascontiguousarray(-membrane.normals, np.float32),
         "vertex_texcoords": np.ascontiguousarray(membrane.uv, np.float32),
         "faces": np.ascontiguousarray(membrane.faces[:, ::-1], np.uint32),
