@@ -135,7 +135,7 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
-    edge = min(OBJECT_COARSER * contact_edge(area, sizes), _contact_edge(scene, area))
+    edge = OBJECT_COARSER * _contact_edge(scene, area)
     within: tuple[Inclusion, ...] = ()
     if body.shape == "mesh":
         surface, shape, stretch = load_mesh(body), None, 1.0
