@@ -98,6 +98,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lights.lights.rgb": (0, 1e6),
     "lights.lights.power": (0, 1e9),
     "lights.lights.lobe": (1, 100),
+    "lights.lights.peak_nm": (400, 700),
+    "lights.lights.width_nm": (5, 100),
     "coating.albedo": (0, 1),
     "coating.specular": (0, 1),
     "coating.roughness": (0.01, 1),

@@ -259,6 +259,10 @@ class Light:
     """Radiant flux of a channel whose rgb is 1 [mW; only ratios matter, camera.exposure sets the scale]."""
     lobe: float = 1.0
     """Its intensity falls as cos^lobe: 1 is Lambertian, a lensed LED 2 to 20."""
+    peak_nm: float | None = None
+    """Peak wavelength of an LED: with width_nm it gives the colour instead of rgb."""
+    width_nm: float | None = None
+    """Full width at half maximum of its spectrum."""
 
 
 @dataclass(frozen=True)
@@ -545,6 +549,8 @@ def _check_optics(scene: Scene) -> None:
         allowed = ", ".join(str(3 * count) for count in SHADING_DEGREES)
         raise SceneError(f"camera.shading has {shading} numbers: red, green and blue of every term of a degree are {allowed}, or none")
     for light in scene.lights.lights:
+        if (light.peak_nm is None) != (light.width_nm is None):
+            raise SceneError(f"lights.lights {light.name!r}: an LED's spectrum has a peak_nm and a width_nm; give both or neither")
         if light.position_mm[2] >= 0:
             raise SceneError(f"lights.lights {light.name!r}: position_mm has z = {light.position_mm[2]:g} mm; inside is below 0")
         if light.direction == (0.0, 0.0, 0.0):

@@ -1,10 +1,11 @@
 """The sensor's coloured emitters. Pure data.
 
-Each light is a Lambertian rectangle of flux Φ (per colour channel), so its radiance is L = Φ / (π A). It stands inside the window, on the
+Each light is a rectangle of flux Φ (per colour channel) and of an intensity that falls as cos^m; as Lambertian (m = 1, all that scalar
+variants know) its radiance is L = Φ / (π A). It stands inside the window, on the
 gel's side of the window's face to the air: no refracting face lies between light and membrane, so every point of the membrane can be
 connected to the light directly (next-event estimation). The window's and the gel's indices are close (1.49 and 1.41: 0.08 % reflected at
-normal incidence), and a light's place is that of its image seen from the gel. Left out: light that the window's outer face and the housing
-reflect back (docs/optics.md).
+normal incidence), and a light's place is that of its image seen from the gel. Left out: what the housing
+reflects back (docs/optics.md).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
+from gelsim.optics.spectra import light_rgb
 from gelsim.scene import Light, Scene
 
 
@@ -33,7 +35,7 @@ def light_pose(light: Light) -> NDArray[np.float64]:
 
 def light_radiance(light: Light) -> NDArray[np.float64]:
     """Radiance of the light's face [mW / mm² sr], shape (3,)."""
-    return light.power * np.array(light.rgb, float) / (np.pi * light.size_mm[0] * light.size_mm[1])
+    return light.power * light_rgb(light) / (np.pi * light.size_mm[0] * light.size_mm[1])
 
 
 def emitter_dict(scene: Scene) -> dict[str, dict]:

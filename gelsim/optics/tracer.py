@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from gelsim.optics.camera import gel_ray, make_lens, sideways
 from gelsim.optics.coating import flake_albedo, grain_pattern, marker_coverage
 from gelsim.optics.scene_dict import mesh_arrays
+from gelsim.optics.spectra import light_rgb
 from gelsim.results import Membrane
 from gelsim.scene import Scene
 
@@ -72,7 +73,7 @@ class Tracer:
                 f"lights.{i}.position_mm": mi.Point3f(light.position_mm),
                 f"lights.{i}.direction": mi.Vector3f(light.direction),
                 f"lights.{i}.size_mm": mi.Vector2f(light.size_mm),
-                f"lights.{i}.rgb": mi.Color3f(light.rgb),
+                f"lights.{i}.rgb": mi.Color3f(light_rgb(light)),
                 f"lights.{i}.power": mi.Float(light.power),
             }
         values["coating.albedo"] = mi.Color3f(scene.coating.albedo)
