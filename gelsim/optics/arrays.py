@@ -1,0 +1,156 @@
+"""The few array operations that `optics.baked` is written in, by Dr.Jit (vector units, all cores, or a GPU) or by NumPy.
+
+NumPy serves where Dr.Jit has no backend (no libLLVM, no CUDA), and is the twin that tests compare with. One-dimensional arrays only.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Protocol
+
+import numpy as np
+
+Values = Any
+"""A one-dimensional float32 or int32 array of the backend."""
+
+
+class Arrays(Protocol):
+    name: str
+
+    def floats(self, values: Any) -> Values: ...
+    def range(self, count: int) -> Values: ...
+    def whole(self, values: Values) -> Values: ...
+    def real(self, values: Values) -> Values: ...
+    def gather(self, source: Values, index: Values) -> Values: ...
+    def packet(self, source: Values, index: Values, width: int) -> Any: ...
+    def interleave(self, columns: list[Values]) -> Values: ...
+    def select(self, condition: Any, yes: Any, no: Any) -> Values: ...
+    def minimum(self, a: Any, b: Any) -> Values: ...
+    def maximum(self, a: Any, b: Any) -> Values: ...
+    def sqrt(self, a: Values) -> Values: ...
+    def atan(self, a: Values) -> Values: ...
+    def atan2(self, y: Values, x: Values) -> Values: ...
+    def running_minimum(self, values: Values, kept: Values, lines: int, steps: int) -> Values: ...
+    def compiled(self, function: Any) -> Any: ...
+    def numpy(self, values: Values) -> np.ndarray: ...
+
+
+class NumPyArrays:
+    """The slow twin."""
+
+    name = "numpy"
+    select, minimum, maximum, sqrt = staticmethod(np.where), staticmethod(np.minimum), staticmethod(np.maximum), staticmethod(np.sqrt)
+    atan, atan2 = staticmethod(np.arctan), staticmethod(np.arctan2)
+
+    def floats(self, values: Any) -> Values:
+        return np.ascontiguousarray(values, np.float32).ravel()
+
+    def range(self, count: int) -> Values:
+        return np.arange(count, dtype=np.int32)
+
+    def whole(self, values: Values) -> Values:
+        """Rounded down."""
+        return np.floor(values).astype(np.int32)
+
+    def real(self, values: Values) -> Values:
+        return values.astype(np.float32)
+
+    def gather(self, source: Values, index: Values) -> Values:
+        return source[index]
+
+    def packet(self, source: Values, index: Values, width: int) -> Any:
+        """`width` neighbours at index * width, as arrays."""
+        return source.reshape(-1, width)[index].T
+
+    def interleave(self, columns: list[Values]) -> Values:
+        """The inverse of `packet` over all indices."""
+        return np.stack([np.asarray(column, np.float32) for column in columns], axis=1).ravel()
+
+    def running_minimum(self, values: Values, kept: Values, lines: int, steps: int) -> Values:
+        """Along steps, the smallest value so far, and what `kept` holds at its step.
+
+        Args:
+            values, kept: At step * lines + line.
+        Returns:
+            Pairs, in the same order.
+        """
+        values, kept = values.reshape(steps, lines), kept.reshape(steps, lines)
+        lowest = np.minimum.accumulate(values, axis=0)
+        # Of equal ones the first, as in the loop of the other backend.
+        fresh = np.vstack([np.ones((1, lines), bool), values[1:] < lowest[:-1]])
+        first = np.maximum.accumulate(np.where(fresh, np.arange(steps)[:, None], 0), axis=0)
+        return np.stack([lowest, np.take_along_axis(kept, first, axis=0)], axis=2).ravel()
+
+    def compiled(self, function: Any) -> Any:
+        return function
+
+    def numpy(self, values: Values) -> np.ndarray:
+        return np.asarray(values)
+
+
+class DrJitArrays:
+    """`backend` is "llvm" or "cuda"."""
+
+    def __init__(self, backend: str) -> None:
+        import drjit
+
+        self.name, self._dr = backend, drjit
+        types = importlib.import_module(f"drjit.{backend}")
+        self._float, self._int = types.Float, types.Int
+        self._packets = {2: types.Array2f, 4: types.Array4f}
+        self._any = types.ArrayXf
+        self.select, self.minimum, self.maximum, self.sqrt = drjit.select, drjit.minimum, drjit.maximum, drjit.sqrt
+        self.atan, self.atan2 = drjit.atan, drjit.atan2
+
+    def floats(self, values: Any) -> Values:
+        return self._float(np.ascontiguousarray(values, np.float32).ravel())
+
+    def range(self, count: int) -> Values:
+        return self._dr.arange(self._int, count)
+
+    def whole(self, values: Values) -> Values:
+        return self._int(self._dr.floor(values))
+
+    def real(self, values: Values) -> Values:
+        return self._float(values)
+
+    def gather(self, source: Values, index: Values) -> Values:
+        return self._dr.gather(self._float, source, index)
+
+    def packet(self, source: Values, index: Values, width: int) -> Any:
+        if width in self._packets:
+            return self._dr.gather(self._packets[width], source, index)
+        return self._dr.gather(self._any, source, index, shape=(width, self._dr.width(index)))
+
+    def interleave(self, columns: list[Values]) -> Values:
+        return self._dr.ravel(self._packets[len(columns)](*columns))
+
+    def running_minimum(self, values: Values, kept: Values, lines: int, steps: int) -> Values:
+        dr = self._dr
+        dr.eval(values, kept)
+        line = self.range(lines)
+        pairs = dr.empty(self._float, 2 * lines * steps)
+
+        def body(at: Values, lowest: Values, held: Values) -> tuple[Values, Values, Values]:
+            value, other = dr.gather(self._float, values, at), dr.gather(self._float, kept, at)
+            less = value < lowest
+            lowest, held = dr.select(less, value, lowest), dr.select(less, other, held)
+            dr.scatter(pairs, self._packets[2](lowest, held), at)
+            return at + lines, lowest, held
+
+        state = line, self.real(line * 0) + 1e30, self.real(line * 0)
+        dr.while_loop(state, lambda at, lowest, held: at < lines * steps, body)
+        return pairs
+
+    def compiled(self, function: Any) -> Any:
+        """Traced once for each shape of its arguments, which are all it may depend on."""
+        return self._dr.freeze(function)
+
+    def numpy(self, values: Values) -> np.ndarray:
+        return np.array(values)
+
+
+def choose_arrays(variant: str) -> Arrays:
+    """What suits a Mitsuba variant: its own backend, or NumPy beside a scalar one."""
+    backend = variant.split("_")[0]
+    return DrJitArrays(backend) if backend in ("llvm", "cuda") else NumPyArrays()
