@@ -5,9 +5,10 @@ these alone, for the camera stands still and its direction is a function of the 
 
     L_c = Σ_k a_k(x, y, z, n) C_kc,        each component k belongs to one light.
 
-a_k is tabulated over x, y, n_x, n_y (linear on the simplices of the grid's cells: Kuhn's) and z (two layers, linear). A coat whose channels differ by factors needs one
-component a light. Paint (markers) returns the share `paint(n)` of what the coat would. `gains` weigh the light that other parts of the
-membrane send (`gelsim.optics.baked`); `veil` is what arrives from everywhere and changes little. Measured by `gelsim.optics.bake`.
+a_k is tabulated over x, y, n_x, n_y (linear on the simplices of the grid's cells: Kuhn's) and z (two layers, linear). A coat whose
+channels differ by factors needs one component a light. Paint (markers) returns the share `paint(n)` of what the coat would. `gains` weigh
+the light that other parts of the membrane send (`gelsim.optics.baked`); `veil` is what arrives from everywhere and changes little. Measured
+by `gelsim.optics.bake`.
 """
 
 from __future__ import annotations
@@ -104,7 +105,8 @@ def write_field(path: Path, light_field: LightField) -> None:
 def read_field(path: Path) -> LightField | None:
     """The field in a file; None where there is none, or it is not whole: every byte of the arrays is checked."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here: NumPy leaves a damaged file open.
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
             light_field = LightField(**{name: file[name] for name in ARRAYS}, normals=about["normals"], errors=about["errors"])
     except FileNotFoundError:

@@ -17,7 +17,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
     "markers.layout": ("grid", "none"),
     "camera.tone": ("srgb", "linear"),
-    "render.mode": ("path", "direct"),
+    "render.mode": ("baked", "path", "direct"),
 }
 
 WITH_PARTS = ("flat", "hemisphere", "cylinder", "edge", "cone", "box", "frustum", "punch", "tomato", "candy")

@@ -302,9 +302,14 @@ def render(
     record = record or Record()
     surfaces = membranes(scene, deformation, record=record)
     optics = _choose_renderer(scene, device, record)
+    field = None
+    if scene.render.mode == "baked":
+        with record.stage("light field"):
+            field = optics.light_field(scene, optics.choose_variant(device), progress)
+        record.choices["light_field"] = field.errors
     with record.stage("render"):
         show = (lambda done, total: progress("render", done, total)) if progress else None
-        return list(optics.render_frames(scene, surfaces, progress=show, device=device))
+        return list(optics.render_frames(scene, surfaces, progress=show, device=device, light_field=field))
 
 
 def simulate(scene: Scene, *, device: str = "auto", progress: Progress | None = None) -> tuple[Deformation, list[Frame]]:

@@ -314,7 +314,8 @@ class Markers:
 @dataclass(frozen=True)
 class Render:
     mode: str = "path"
-    """"path": with inter-reflection | "direct": light that comes straight from the emitters."""
+    """"path": traced, with inter-reflection | "direct": traced, light straight from the emitters | "baked": path, from the sensor's light
+    field, which is measured once."""
     spp: int = 24
     """Light paths a pixel, rounded up so that every light gets the same number."""
     resolution: tuple[int, int] = (480, 360)

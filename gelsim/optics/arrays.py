@@ -5,6 +5,7 @@ NumPy serves where Dr.Jit has no backend (no libLLVM, no CUDA), and is the twin 
 
 from __future__ import annotations
 
+import gc
 import importlib
 from typing import Any, Protocol
 
@@ -144,7 +145,19 @@ class DrJitArrays:
 
     def compiled(self, function: Any) -> Any:
         """Traced once for each shape of its arguments, which are all it may depend on."""
-        return self._dr.freeze(function)
+        frozen = self._dr.freeze(function)
+
+        def call(*arguments: Any) -> Any:
+            # While Dr.Jit records, the death of an array that wraps NumPy's memory ends the process: no garbage is collected meanwhile.
+            collects = gc.isenabled()
+            gc.disable()
+            try:
+                return frozen(*arguments)
+            finally:
+                if collects:
+                    gc.enable()
+
+        return call
 
     def numpy(self, values: Values) -> np.ndarray:
         return np.array(values)

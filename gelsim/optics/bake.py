@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from gelsim.lightfield import PACKET, LightField, read_field, write_field
 from gelsim.membrane import rest_membrane
-from gelsim.optics.baked import BakedRenderer, pixel_rays
+from gelsim.optics.baked import BakedRenderer, straight_rays
 from gelsim.optics.isp import develop
 from gelsim.optics.probes import bumpy_membrane, dented_membrane
 from gelsim.optics.variant import VariantChoice
@@ -55,6 +55,9 @@ RANK_LEFT = 3e-3
 PROBES, PROBE_SPP = 6, 64
 UNSEEN, UNSEEN_SPP = 8, 256
 PROBE_RESOLUTION = 240
+
+AFTER_LIGHT = ("resolution", "fps", "exposure", "white_balance", "noise_sd", "shading", "fresnel", "full_well", "read_noise", "tone", "gamma")
+"""Of the camera's fields, those that `optics.isp` answers for: they change the picture and not the light."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -82,7 +85,7 @@ def field_path(scene: Scene) -> Path:
 def field_key(scene: Scene) -> str:
     """Hash of everything the field depends on; not the resolution, nor what comes after the light (exposure, noise)."""
     camera, gel = dataclasses.asdict(scene.camera), dataclasses.asdict(scene.gel)
-    for later in ("resolution", "fps", "exposure", "white_balance", "noise_sd", "vignetting", "fresnel", "full_well", "read_noise", "tone"):
+    for later in AFTER_LIGHT:
         camera.pop(later, None)
     shape = {name: gel[name] for name in ("profile", "size_mm", "thickness_mm", "edge_thickness_mm")}
     coating = dataclasses.asdict(scene.coating)
@@ -145,7 +148,7 @@ def _tiles(scene: Scene, z_mm: float, rng: np.random.Generator) -> tuple[Membran
     """A sheet of flat tiles, one a pixel; the table's node that each shows, shape (H, W); and the pixels' places [mm], (H, W, 2)."""
     width, height = scene.render.resolution
     column, row = np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0))
-    rays = pixel_rays(scene, column.ravel(), row.ravel())
+    rays = straight_rays(scene, column.ravel(), row.ravel())
     corners = (rays[:, :2] + rays[:, 2:] * z_mm).reshape(height + 1, width + 1, 2)
     places = (corners[1:, 1:] + corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:]) / 4
     blocks = [[rng.permutation(NORMALS**2).reshape(NORMALS, NORMALS) for _ in range(width // NORMALS)] for _ in range(height // NORMALS)]
@@ -171,6 +174,8 @@ def _node_normals() -> NDArray[np.float64]:
 def _measure_local(
     scene: Scene, variant: VariantChoice, tick: Callable[[], None]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
+    from threadpoolctl import threadpool_limits
+
     from gelsim.optics.render import Renderer
 
     tiled = _tile_scene(scene)
@@ -178,7 +183,7 @@ def _measure_local(
     sheets = [[_tiles(tiled, z, rng) for _ in range(TILE_PICTURES)] for z in HEIGHTS_MM]
     # The layers' own places, and those of the gel at its highest, which are a little wider.
     width, height = tiled.render.resolution
-    corner_rays = pixel_rays(tiled, np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height]))
+    corner_rays = straight_rays(tiled, np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height]))
     everywhere = np.concatenate([corner_rays[:, :2], *(places.reshape(-1, 2) for layer in sheets for _, _, places in layer)])
     low, high = everywhere.min(axis=0), everywhere.max(axis=0)
     lights = tiled.lights.lights
@@ -198,7 +203,9 @@ def _measure_local(
         order = np.argsort(nodes, kind="stable")
         places = np.concatenate([places.reshape(-1, 2) for _, _, places in layer])[order].reshape(NORMALS**2, -1, 2)
         seen = [np.concatenate([p.reshape(-1, 3) for p in light[level]])[order].reshape(NORMALS**2, -1, 3) for light in pictures]
-        layers.append(_fit_places(places, np.concatenate(seen, axis=2), low, high))
+        # A thousand and more small products: threads would only wait for each other.
+        with threadpool_limits(1):
+            layers.append(_fit_places(places, np.concatenate(seen, axis=2), low, high))
     # (2, R, C, M², lights, 3)
     values = np.stack(layers).reshape(2, PLACES[1], PLACES[0], NORMALS**2, len(lights), 3)
     components, colours, light_of = [], [], []
@@ -223,8 +230,9 @@ def _fit_places(places: NDArray, seen: NDArray, low: NDArray, high: NDArray) -> 
     """Least squares in place for every normal: places (M², S, 2), seen (M², S, Q) to values at the table's places (R, C, M², Q)."""
     knots = [np.r_[[a] * 3, np.linspace(a, b, count - 2), [b] * 3] for a, b, count in zip(low, high, SPLINES, strict=True)]
     count = SPLINES[0] * SPLINES[1]
-    # Too stiff to follow noise between few samples, too soft to bend what they agree on: a thousandth of a sample's weight on wiggles.
-    stiff = [np.kron(np.eye(SPLINES[1]), np.diff(np.eye(SPLINES[0]), 2, axis=0)), np.kron(np.diff(np.eye(SPLINES[1]), 2, axis=0), np.eye(SPLINES[0]))]
+    # Second differences of the coefficients weigh a hundredth of a sample each: they settle what few samples leave open.
+    bend = [np.diff(np.eye(count), 2, axis=0) for count in SPLINES]
+    stiff = [np.kron(np.eye(SPLINES[1]), bend[0]), np.kron(bend[1], np.eye(SPLINES[0]))]
     wiggle = sum(part.T @ part for part in stiff)
     coefficients = np.empty((len(places), count, seen.shape[2]))
     for first in range(0, len(places), 100):
@@ -287,13 +295,13 @@ def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField,
         for membrane in membranes:
             drawn[mode].append(renderer.radiance(membrane))
             tick()
-    unit = BakedRenderer(small, replace(light_field, gains=np.ones(3, np.float32)), variant.name)
-    bare = BakedRenderer(small, light_field, variant.name, indirect=False)
+    unit = BakedRenderer(small, replace(light_field, gains=np.ones(3, np.float32)), variant)
+    bare = BakedRenderer(small, light_field, variant, indirect=False)
     (low_x, high_x), (low_y, high_y) = light_field.places.astype(float)
     knots = [np.r_[[a] * 3, np.linspace(a, b, 3), [b] * 3] for a, b in ((low_x, high_x), (low_y, high_y))]
     width, height = small.render.resolution
     column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    basis = _spline_basis(knots, pixel_rays(small, column.ravel(), row.ravel())[:, :2])
+    basis = _spline_basis(knots, straight_rays(small, column.ravel(), row.ravel())[:, :2])
     count = basis.shape[1]
     matrix, right = np.zeros((3, count + 1, count + 1)), np.zeros((3, count + 1))
     # In units of the picture's own brightness, so that the ridge below means the same for estimate and splines.
@@ -320,7 +328,7 @@ def _measure_error(scene: Scene, variant: VariantChoice, light_field: LightField
     from gelsim.optics.render import Renderer
 
     small = _small(scene, "path", UNSEEN_SPP)
-    traced, baked = Renderer(small, variant), BakedRenderer(small, light_field, variant.name)
+    traced, baked = Renderer(small, variant), BakedRenderer(small, light_field, variant)
     quiet = small.replace(camera=replace(small.camera, noise_sd=(0.0, 0.0, 0.0)))
     squared, distances, levels = [], [], []
     for seed in range(UNSEEN):

@@ -9,7 +9,7 @@ in four steps, each over all pixels of a batch of frames at once:
 2. *Shadows*, V: the visible share of each light, a rectangle cut along its long side. About each piece's middle the heights are laid out in
    polar coordinates; the running minimum along a line, of z - z_light over the distance, is the horizon (Max 1988: horizon maps). The share
    of the piece's height above the horizon is weighed by the cosine at the receiver, and what the tangent plane cuts off is already in a_k.
-3. *Inter-reflection*, E: one bounce, from the horizon's silhouettes in 12 directions at 0.2 mm (Max 1986; as Jimenez et al. 2016 use them);
+3. *Inter-reflection*, E: one bounce, from the horizon's silhouettes in 8 directions at 0.2 mm (Max 1986; as Jimenez et al. 2016 use them);
    the surface reflects as a Lambertian one, and γ, fitted once a sensor, stands for the coat's reflectance and for further bounces.
 4. *Coat and markers*: grain g and coverage m looked up in material coordinates, averaged over a pixel beforehand.
 
@@ -29,21 +29,22 @@ from numpy.typing import NDArray
 from gelsim.errors import RenderError
 from gelsim.lightfield import PACKET, LightField
 from gelsim.optics.arrays import Arrays, Values, choose_arrays
-from gelsim.optics.camera import pixel_size, project
+from gelsim.optics.camera import gel_ray, make_lens, pixel_size
 from gelsim.optics.coating import TEXEL, grain_pattern, marker_coverage
 from gelsim.optics.lighting import light_pose
+from gelsim.optics.variant import VariantChoice, use_variant
 from gelsim.results import Membrane
 from gelsim.scene import Scene
 
 MM = 1e3
-CELL = 0.25
+CELL = 0.2
 """Of the grid of heights over the gel, for shadows and inter-reflection [mm]."""
 PIECES = 3
 """A light's long side is cut in so many for its soft shadow."""
 LINES, STEPS = 96, 112
 """Of the polar grid about a piece of a light."""
 DIRECTIONS = 8
-REACHES = (1, 2, 3, 5, 8, 12, 20)
+REACHES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33)
 """Of the samples along a direction of inter-reflection [cells]: near parts fill most of the view."""
 FAR = 1e6
 NEWTON_STEPS = 4
@@ -76,21 +77,29 @@ class Counts:
 class BakedRenderer:
     """A scene's light field, camera and coat, made ready once to draw many membranes."""
 
-    def __init__(self, scene: Scene, light_field: LightField, variant: str, *, shadows: bool = True, indirect: bool = True) -> None:
-        """`variant` is Mitsuba's name, of which the backend is taken; without `shadows` or `indirect` those are left out."""
+    def __init__(
+        self, scene: Scene, light_field: LightField, variant: VariantChoice, *, shadows: bool = True, indirect: bool = True
+    ) -> None:
+        """Of `variant` the backend is taken; without `shadows` or `indirect` those are left out."""
         self._scene, self._field = scene, light_field
         self._shadows, self._indirect = shadows, indirect
-        self._arrays: Arrays = choose_arrays(variant)
+        if not variant.name.startswith("scalar"):
+            use_variant(variant)
+        self._arrays: Arrays = choose_arrays(variant.name)
         self._tables: dict[str, Values] = {}
         self._counts: Counts | None = None
         self._draw: Any = None
 
     def radiance(self, membrane: Membrane) -> NDArray[np.float32]:
         """Linear RGB, shape (H, W, 3)."""
-        return self.pictures([membrane])[0][0]
+        return self.picture(membrane)[0]
+
+    def picture(self, membrane: Membrane) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Linear RGB (H, W, 3), and z of the membrane at the pixels' centres [m] (H, W): NaN where the camera sees no gel."""
+        return self.pictures([membrane])[0]
 
     def pictures(self, membranes: Sequence[Membrane]) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """Linear RGB (H, W, 3) and z of the membrane at the pixels' centres [m] (H, W), NaN where the camera sees no gel; in one launch."""
+        """`picture` of many membranes at once."""
         pixels = self._arrays.numpy(self.launch(self.upload(membranes)))
         width, height = self._scene.render.resolution
         pixels = pixels.reshape(len(membranes), height, width, 4)
@@ -131,7 +140,7 @@ class BakedRenderer:
         }
         for name, (across, down, step) in {"full": (width, height, 1), "coarse": (*_coarse(width, height), SHADE)}.items():
             column, row = np.meshgrid((np.arange(across) + 0.5) * step, (np.arange(down) + 0.5) * step)
-            self._tables[name] = put(pixel_rays(scene, column.ravel(), row.ravel()))
+            self._tables[name] = put(straight_rays(scene, column.ravel(), row.ravel()))
         along = [np.linspace(-side / 2, side / 2, count) for side, count in zip(size, cells, strict=True)]
         plumb = np.zeros((cells[1], cells[0], 4))
         plumb[..., 0], plumb[..., 1] = np.meshgrid(*along)
@@ -180,32 +189,18 @@ def _packed(table: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack([fours[0], fours[1] - fours[0]], axis=-2)
 
 
-def pixel_rays(scene: Scene, column: NDArray[np.floating], row: NDArray[np.floating]) -> NDArray[np.float64]:
+def straight_rays(scene: Scene, column: NDArray[np.floating], row: NDArray[np.floating]) -> NDArray[np.float64]:
     """The camera's rays inside the gel: (x, y) = α + β z.
-
-    Found by inverting `project` at two heights on a lattice over the picture and interpolating (quintic): inside the gel rays are straight.
 
     Args:
         column, row: In the picture [px], shape (N,).
     Returns:
         α_x, α_y [mm], β_x, β_y, shape (N, 4).
     """
-    from scipy.interpolate import RectBivariateSpline
-
-    width, height = scene.render.resolution
-    lattice = [np.linspace(-2.0, count + 2.0, 25) for count in (width, height)]
-    target = np.stack(np.meshgrid(*lattice), axis=-1).reshape(-1, 2)
-    deep, step = 2e-3, 1e-6
-    found = []
-    for z in (0.0, -deep):
-        points = np.column_stack([(target - [width / 2, height / 2]) * pixel_size(scene), np.full(len(target), z)])
-        for _ in range(8):
-            at = project(scene, points)
-            jacobian = np.stack([(project(scene, points + step * np.eye(3)[axis]) - at) / step for axis in (0, 1)], axis=-1)
-            points[:, :2] -= np.linalg.solve(jacobian, (at - target)[..., None])[..., 0]
-        found.append(points[:, :2] * MM)
-    rays = np.concatenate([found[0], (found[0] - found[1]) / (deep * MM)], axis=1).reshape(25, 25, 4)
-    return np.stack([RectBivariateSpline(lattice[1], lattice[0], rays[..., i], kx=5, ky=5).ev(row, column) for i in range(4)], axis=-1)
+    origin, direction, _ = gel_ray(make_lens(scene), column, row)
+    slope = [direction[axis] / direction[2] for axis in (0, 1)]
+    foot = [(origin[axis] - slope[axis] * origin[2]) * MM for axis in (0, 1)]
+    return np.stack(np.broadcast_arrays(*foot, *slope), axis=-1)
 
 
 def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:
@@ -276,7 +271,7 @@ def light_pieces(scene: Scene) -> NDArray[np.float64]:
 
 
 def _polar_places(pieces: NDArray[np.float64], size: NDArray[np.float64], cells: tuple[int, ...]) -> NDArray[np.float64]:
-    """Column and row in the grid of heights, light's z and 1/distance of each polar place; (STEPS, S, LINES, 4). Far outside the gel: -9."""
+    """Column (-9 off the gel) and row in the grid of heights, light's z and 1/distance of each polar place; (STEPS, S, LINES, 4)."""
     x, y, z, _, cosine, sine, first, turn, near, step = (pieces[:, i, None, None] for i in range(10))
     angle = first + np.arange(LINES)[None, :, None] / turn
     distance = near + np.arange(STEPS)[None, None, :] / step
@@ -531,7 +526,7 @@ def _line_corners(ar: Arrays, along: Values, line: Values, stride: int, offset: 
 
 
 def _visible(ar: Arrays, st: _Static, t: dict[str, Values], horizons: Values, frames: int, each: int, seen: _Seen) -> Values:
-    """The visible share of each light, of what the tangent plane leaves of it: PACKET * groups of lights for each of frames * each places."""
+    """The visible share of each light, of what the tangent plane leaves of it; whole packets of lights for each of frames * each places."""
     c = st.counts
     lines = c.samples * LINES
     lights = c.samples // PIECES

@@ -12,6 +12,9 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.lightfield import LightField
+from gelsim.optics import bake
+from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.camera import height_map, marker_pixels
 from gelsim.optics.isp import develop
 from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
@@ -28,6 +31,7 @@ def render_frames(
     progress: Callable[[int, int], None] | None = None,
     device: str = "auto",
     variant: VariantChoice | None = None,
+    light_field: LightField | None = None,
 ) -> Iterator[Frame]:
     """The sensor's picture of each membrane, one at a time.
 
@@ -37,14 +41,23 @@ def render_frames(
         progress: Called with (frames done, frames in all) after each.
         device: "auto" | "cpu" | "cuda", see `choose_variant`.
         variant: Overrides the choice.
+        light_field: The scene's, for mode "baked"; from the cache, or measured first, if not given.
     Raises:
         SceneError: A field that cannot be drawn; before the first frame.
         RenderError: The device cannot render.
     """
-    renderer = Renderer(scene, variant or choose_variant(device))
+    chosen = variant or choose_variant(device)
+    if scene.render.mode == "baked":
+        draw = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen).picture
+    else:
+        renderer = Renderer(scene, chosen)
+
+        def draw(membrane: Membrane) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+            return renderer.radiance(membrane), height_map(scene, membrane)
+
     for index, membrane in enumerate(membranes):
-        radiance = renderer.radiance(membrane)
-        yield Frame(radiance, develop(scene, radiance, index), height_map(scene, membrane), marker_pixels(scene, membrane))
+        radiance, height = draw(membrane)
+        yield Frame(radiance, develop(scene, radiance, index), height, marker_pixels(scene, membrane))
         if progress:
             progress(index + 1, len(membranes))
 

@@ -34,6 +34,8 @@ HELPERS = {
     ("inclusions", "shapes"),
     ("scene", "limits"),
     ("limits", "units"),
+    # The light field is measured on membranes that no press made.
+    ("optics", "membrane"),
 }
 HOMES = {"pytetwild": {"meshing"}, "warp": {"fem"}, "mitsuba": {"optics"}, "drjit": {"optics"}, "torch": set()}
 LEARN_MAY_USE = set().union(*LAYERS[:6])

@@ -1,0 +1,187 @@
+"""How far `baked` pictures are from converged `path` ones, on presses the light field was not made from; and what a frame costs.
+
+    python docs/studies/baked_error.py                        # an hour: 44 presses a sensor; --quick: 4
+    python docs/studies/baked_error.py --sensor fingertip2017 --worst worst.png
+    python docs/studies/baked_error.py --speed --device cuda  # frames a second, everything on the device
+
+*Surfaces.* 20 solved presses (`fast`: rigid and soft balls, cylinders, boxes, cones, edges, corners, punches, rods, tilted, off the centre)
+and 24 dents by geometry (`optics.probes.dented_membrane`: balls, rods, boxes, wedges and rings, up to 1.2 mm deep, seeds the bake does not
+use). Nothing in the bake was chosen by them.
+*Reference.* `path` at 400 paths a pixel. Its own noise is told by a second one with other random numbers, and is part of the difference.
+*Measures.* On 8-bit sRGB without camera noise, markers and grain included: PSNR over all pixels and channels, ΔE2000 by pixel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim import pipeline
+from gelsim.errors import SolveError
+from gelsim.optics import choose_variant, light_field
+from gelsim.optics.bake import UNSEEN, colour_difference
+from gelsim.optics.baked import BakedRenderer
+from gelsim.optics.isp import develop
+from gelsim.optics.probes import dented_membrane
+from gelsim.optics.render import Renderer
+from gelsim.results import Membrane
+from gelsim.scene import Render, Scene
+from gelsim.scene_file import build_scene
+
+REFERENCE_SPP = 400
+PRESSES: list[dict[str, Any]] = [
+    {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 2.0, "height_mm": 5.0}, "press": {"depth_mm": 0.8}},
+    {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 4.0}, "press": {"depth_mm": 1.0}},
+    {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 6.0}, "press": {"depth_mm": 1.0, "offset_mm": [4.0, -3.0]}},
+    {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 3.0}, "press": {"depth_mm": 0.8, "offset_mm": [-5.0, 3.0]}},
+    {"object": {"shape": "hemisphere", "shore_00": 30.0, "radius_mm": 5.0}, "press": {"depth_mm": 1.2}},
+    {"object": {"shape": "hemisphere", "shore_00": 60.0, "radius_mm": 10.0}, "press": {"depth_mm": 1.0}},
+    {"object": {"shape": "cylinder", "rigid": True, "radius_mm": 3.0}, "press": {"depth_mm": 0.8}},
+    {"object": {"shape": "cylinder", "rigid": True, "radius_mm": 2.0}, "press": {"depth_mm": 0.7, "tilt_deg": [4.0, 0.0]}},
+    {"object": {"shape": "cylinder", "shore_00": 40.0, "radius_mm": 5.0}, "press": {"depth_mm": 1.0}},
+    {"object": {"shape": "box", "rigid": True, "width_mm": 5.0, "length_mm": 4.0}, "press": {"depth_mm": 0.6}},
+    {"object": {"shape": "box", "rigid": True, "width_mm": 6.0, "length_mm": 6.0}, "press": {"depth_mm": 0.7, "tilt_deg": [3.0, 5.0]}},
+    {"object": {"shape": "cone", "rigid": True}, "press": {"depth_mm": 0.8}},
+    {"object": {"shape": "cone", "rigid": True}, "press": {"depth_mm": 0.6, "offset_mm": [3.0, 3.0]}},
+    {"object": {"shape": "edge", "rigid": True}, "press": {"depth_mm": 0.6}},
+    {"object": {"shape": "edge", "rigid": True}, "press": {"depth_mm": 0.5, "tilt_deg": [3.0, 0.0]}},
+    {"object": {"shape": "corner", "rigid": True}, "press": {"depth_mm": 0.6}},
+    {"object": {"shape": "punch", "rigid": True, "radius_mm": 3.0}, "press": {"depth_mm": 0.6}},
+    {"object": {"shape": "punch", "rigid": True, "radius_mm": 2.0}, "press": {"depth_mm": 0.5, "offset_mm": [-4.0, 2.0]}},
+    {"object": {"shape": "frustum", "rigid": True}, "press": {"depth_mm": 0.6}},
+    {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 4.0}, "press": {"depth_mm": 0.8, "shear_mm": [1.0, 0.5]}},
+]
+DENTS = 24
+
+
+def sensor_scene(sensor: str, resolution: tuple[int, int], layer: dict[str, Any] | None = None) -> Scene:
+    layer = layer or {}
+    press = {"frames": 3} | layer.get("press", {})
+    parts = {"sensor": {"preset": sensor}, "fidelity": "fast", "press": press, "object": layer.get("object", {"shape": "hemisphere"})}
+    scene = build_scene(parts | {"render": {"resolution": list(resolution)}})
+    # The camera's noise is the same for both and hides what is asked.
+    return scene.replace(camera=replace(scene.camera, noise_sd=(0.0, 0.0, 0.0)))
+
+
+def surfaces(sensor: str, resolution: tuple[int, int], quick: bool) -> list[tuple[str, Scene, Membrane]]:
+    """Names, scenes and deepest membranes of all presses and dents."""
+    found = []
+    for number, layer in enumerate(PRESSES[:2] if quick else PRESSES):
+        scene = sensor_scene(sensor, resolution, layer)
+        name = f"{layer['object']['shape']} {number}"
+        try:
+            found.append((name, scene, pipeline.membranes(scene, pipeline.press(scene))[-1]))
+        except SolveError as error:
+            print(f"{name} is left out: {error}", flush=True)
+    scene = sensor_scene(sensor, resolution)
+    # The bake judges itself by the first seeds.
+    for seed in range(UNSEEN, UNSEEN + (2 if quick else DENTS)):
+        found.append((f"dent {seed}", scene, dented_membrane(scene, seed)))
+    return found
+
+
+def study(sensor: str, resolution: tuple[int, int], device: str, quick: bool, worst: Path | None) -> dict[str, float]:
+    variant = choose_variant(device)
+    base = sensor_scene(sensor, resolution)
+    field = light_field(base, variant)
+    print(f"{sensor}: bake {field.errors}", flush=True)
+    traced = Renderer(base.replace(render=Render("path", REFERENCE_SPP, resolution)), variant)
+    baked = BakedRenderer(base, field, variant)
+    rows, pictures = [], []
+    print("| surface | PSNR [dB] | noise of path [dB] | ΔE2000 mean | 99 % | worst levels, 99.9 % |\n|---|---|---|---|---|---|", flush=True)
+    for name, _, membrane in surfaces(sensor, resolution, quick):
+        true, again = (develop(base, traced.radiance(membrane, seed)) for seed in (1, 2))
+        drawn = develop(base, baked.radiance(membrane))
+        distance = colour_difference(true, drawn)
+        levels = np.abs(true.astype(float) - drawn)
+        rows.append((psnr(true, drawn), psnr(true, again), distance.mean(), np.quantile(distance, 0.99), np.quantile(levels, 0.999)))
+        pictures.append((true, drawn))
+        print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in rows[-1]) + " |", flush=True)
+    table = np.array(rows)
+    squared = 10 ** (-table[:, 0] / 10)
+    result = {
+        "surfaces": len(rows),
+        "psnr_db": float(-10 * np.log10(squared.mean())),
+        "psnr_worst_db": float(table[:, 0].min()),
+        "path_noise_db": float(-10 * np.log10((10 ** (-table[:, 1] / 10)).mean())),
+        "delta_e_mean": float(table[:, 2].mean()),
+        "delta_e_mean_worst": float(table[:, 2].max()),
+        "delta_e_p99_worst": float(table[:, 3].max()),
+    }
+    if worst is not None:
+        from PIL import Image
+
+        true, drawn = pictures[int(table[:, 0].argmin())]
+        difference = np.clip(128 + 4 * (drawn.astype(float) - true), 0, 255).astype(np.uint8)
+        Image.fromarray(np.concatenate([true, drawn, difference], axis=1)).save(worst)
+        print(f"{worst}: path, baked, 128 + 4 times the difference of the worst surface")
+    print({key: round(value, 3) for key, value in result.items()}, flush=True)
+    return result
+
+
+def psnr(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
+    return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-6)))
+
+
+def speed(sensor: str, resolution: tuple[int, int], device: str, batch: int, repeats: int = 30) -> dict[str, float]:
+    """Milliseconds a frame: launch alone (membranes on the device), with upload and download, and to 8 bits; best and median."""
+    import drjit as dr
+
+    variant = choose_variant(device)
+    scene = sensor_scene(sensor, resolution)
+    renderer = BakedRenderer(scene, light_field(scene, variant), variant)
+    membranes = [dented_membrane(scene, UNSEEN + number) for number in range(batch)]
+    uploaded = renderer.upload(membranes)
+
+    def launch() -> None:
+        dr.eval(renderer.launch(uploaded))
+        dr.sync_thread()
+
+    def whole() -> None:
+        renderer.pictures(membranes)
+
+    def to_bits() -> None:
+        for index, (radiance, _) in enumerate(renderer.pictures(membranes)):
+            develop(scene, radiance, index)
+
+    result: dict[str, float] = {"batch": batch}
+    for name, work in {"launch": launch, "radiance": whole, "image": to_bits}.items():
+        for _ in range(3):  # the first traces and compiles
+            work()
+        seconds = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            work()
+            seconds.append(time.perf_counter() - start)
+        result |= {f"{name}_ms": 1e3 * min(seconds) / batch, f"{name}_median_ms": 1e3 * float(np.median(seconds)) / batch}
+    result["launch_per_second"] = 1e3 / result["launch_median_ms"]
+    print(variant.name, sensor, resolution, {key: round(value, 3) for key, value in result.items()}, flush=True)
+    return result
+
+
+def main(quick: bool = False) -> dict[str, float]:
+    return study("fingertip2017", (160, 120) if quick else (640, 480), "auto", quick, None)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sensor", default="fingertip2017")
+    parser.add_argument("--resolution", default="640x480")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    parser.add_argument("--batch", type=int, default=0, help="frames a launch; 0: 1 on the CPU, 32 on CUDA")
+    parser.add_argument("--worst", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--speed", action="store_true")
+    given = parser.parse_args()
+    width, height = map(int, given.resolution.split("x"))
+    if given.speed:
+        frames = given.batch or (32 if choose_variant(given.device).name.startswith("cuda") else 1)
+        speed(given.sensor, (width, height), given.device, frames)
+    else:
+        study(given.sensor, (width, height), given.device, given.quick, given.worst)
