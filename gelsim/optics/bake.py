@@ -56,7 +56,19 @@ PROBES, PROBE_SPP = 6, 64
 UNSEEN, UNSEEN_SPP = 8, 256
 PROBE_RESOLUTION = 240
 
-AFTER_LIGHT = ("resolution", "fps", "exposure", "white_balance", "noise_sd", "shading", "fresnel", "full_well", "read_noise", "tone", "gamma")
+AFTER_LIGHT = (
+    "resolution",
+    "fps",
+    "exposure",
+    "white_balance",
+    "noise_sd",
+    "shading",
+    "fresnel",
+    "full_well",
+    "read_noise",
+    "tone",
+    "gamma",
+)
 """Of the camera's fields, those that `optics.isp` answers for: they change the picture and not the light."""
 
 Progress = Callable[[str, int, int], None]
