@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 import importlib
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,33 +15,18 @@ Values = Any
 """A one-dimensional float32 or int32 array of the backend."""
 
 
-class Arrays(Protocol):
-    name: str
-
-    def floats(self, values: Any) -> Values: ...
-    def range(self, count: int) -> Values: ...
-    def whole(self, values: Values) -> Values: ...
-    def real(self, values: Values) -> Values: ...
-    def gather(self, source: Values, index: Values) -> Values: ...
-    def packet(self, source: Values, index: Values, width: int) -> Any: ...
-    def interleave(self, columns: list[Values]) -> Values: ...
-    def select(self, condition: Any, yes: Any, no: Any) -> Values: ...
-    def minimum(self, a: Any, b: Any) -> Values: ...
-    def maximum(self, a: Any, b: Any) -> Values: ...
-    def sqrt(self, a: Values) -> Values: ...
-    def atan(self, a: Values) -> Values: ...
-    def atan2(self, y: Values, x: Values) -> Values: ...
-    def running_minimum(self, values: Values, kept: Values, lines: int, steps: int) -> Values: ...
-    def compiled(self, function: Any) -> Any: ...
-    def numpy(self, values: Values) -> np.ndarray: ...
-
-
 class NumPyArrays:
     """The slow twin."""
 
     name = "numpy"
-    select, minimum, maximum, sqrt = staticmethod(np.where), staticmethod(np.minimum), staticmethod(np.maximum), staticmethod(np.sqrt)
-    atan, atan2 = staticmethod(np.arctan), staticmethod(np.arctan2)
+
+    def __init__(self) -> None:
+        self.select: Any = np.where
+        self.minimum: Any = np.minimum
+        self.maximum: Any = np.maximum
+        self.sqrt: Any = np.sqrt
+        self.atan: Any = np.arctan
+        self.atan2: Any = np.arctan2
 
     def floats(self, values: Any) -> Values:
         return np.ascontiguousarray(values, np.float32).ravel()
@@ -100,8 +85,12 @@ class DrJitArrays:
         self._float, self._int = types.Float, types.Int
         self._packets = {2: types.Array2f, 4: types.Array4f}
         self._any = types.ArrayXf
-        self.select, self.minimum, self.maximum, self.sqrt = drjit.select, drjit.minimum, drjit.maximum, drjit.sqrt
-        self.atan, self.atan2 = drjit.atan, drjit.atan2
+        self.select: Any = drjit.select
+        self.minimum: Any = drjit.minimum
+        self.maximum: Any = drjit.maximum
+        self.sqrt: Any = drjit.sqrt
+        self.atan: Any = drjit.atan
+        self.atan2: Any = drjit.atan2
 
     def floats(self, values: Any) -> Values:
         return self._float(np.ascontiguousarray(values, np.float32).ravel())
@@ -161,6 +150,9 @@ class DrJitArrays:
 
     def numpy(self, values: Values) -> np.ndarray:
         return np.array(values)
+
+
+Arrays = NumPyArrays | DrJitArrays
 
 
 def choose_arrays(variant: str) -> Arrays:

@@ -271,7 +271,8 @@ def _measure_paint(scene: Scene, variant: VariantChoice, light_field: LightField
     """By normal, what markers' paint returns as share of what the coat does: mean over places and channels."""
     from gelsim.optics.render import Renderer
 
-    tiled = _tile_scene(scene.replace(coating=Coating(albedo=(scene.markers.albedo,) * 3, specular=0.0)))
+    paint = scene.markers.albedo
+    tiled = _tile_scene(scene.replace(coating=Coating(albedo=(paint, paint, paint), specular=0.0)))
     renderer = Renderer(tiled, variant)
     painted, coated = np.zeros(NORMALS**2), np.zeros(NORMALS**2)
     rng = np.random.default_rng(1)
@@ -368,7 +369,7 @@ def colour_difference(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArr
     import colour
 
     lab = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(picture / 255.0)) for picture in (one, other)]
-    return np.asarray(colour.delta_E(*lab, method="CIE 2000"))
+    return np.asarray(colour.delta_E(*lab, method="CIE 2000"), np.float64)
 
 
 def _say(stage: str, done: int, total: int) -> None:

@@ -103,7 +103,7 @@ class BakedRenderer:
         pixels = self._arrays.numpy(self.launch(self.upload(membranes)))
         width, height = self._scene.render.resolution
         pixels = pixels.reshape(len(membranes), height, width, 4)
-        return [(np.ascontiguousarray(picture[..., :3]), picture[..., 3] / np.float32(MM)) for picture in pixels]
+        return [(np.ascontiguousarray(picture[..., :3]), (picture[..., 3] / MM).astype(np.float32)) for picture in pixels]
 
     def upload(self, membranes: Sequence[Membrane]) -> tuple[Values, Values]:
         """Vertices and normals of membranes on the device, for `launch`."""
@@ -130,7 +130,7 @@ class BakedRenderer:
         columns, rows = _material_grid(membrane)
         width, height = scene.render.resolution
         size = np.array(scene.gel.size_mm)
-        cells = tuple(int(np.ceil(side / CELL)) + 1 for side in size)
+        cells = int(np.ceil(size[0] / CELL)) + 1, int(np.ceil(size[1] / CELL)) + 1
         self._tables = {
             "field": put(_packed(light_field.table)),
             "colours": put(light_field.colours),
