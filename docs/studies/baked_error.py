@@ -7,7 +7,7 @@
 *Surfaces.* 20 solved presses (`fast`: rigid and soft balls, cylinders, boxes, cones, edges, corners, punches, rods, tilted, off the centre)
 and 24 dents by geometry (`optics.probes.dented_membrane`: balls, rods, boxes, wedges and rings, up to 1.2 mm deep, seeds the bake does not
 use). Nothing in the bake was chosen by them.
-*Reference.* The mean of 16 `path` pictures of 16 paths a pixel, each with its own random numbers. Its noise, part of every difference, is
+*Reference.* The mean of 8 `path` pictures of 16 paths a pixel, each with its own random numbers. Its noise, part of every difference, is
 told by its two halves.
 *Measures.* On 8-bit sRGB without camera noise, markers and grain included: PSNR over all pixels and channels, ΔE2000 by pixel.
 """
@@ -36,7 +36,7 @@ from gelsim.results import Membrane
 from gelsim.scene import Render, Scene
 from gelsim.scene_file import build_scene
 
-REFERENCE_SPP, REFERENCE_PICTURES = 16, 16
+REFERENCE_SPP, REFERENCE_PICTURES = 16, 8
 PRESSES: list[dict[str, Any]] = [
     {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 2.0, "height_mm": 5.0}, "press": {"depth_mm": 0.8}},
     {"object": {"shape": "hemisphere", "rigid": True, "radius_mm": 4.0}, "press": {"depth_mm": 1.0}},

@@ -39,8 +39,8 @@ from gelsim.scene import Scene
 MM = 1e3
 CELL = 0.2
 """Of the grid of heights over the gel, for shadows and inter-reflection [mm]."""
-TEXELS_A_PIXEL = 1.5
-"""Of grain and markers, each texel a mean over a pixel's square: finer changes no centroid."""
+TEXELS_A_PIXEL = 3.0
+"""Of grain and markers; at 320 × 240 a marker's edge was 18 levels off (99.9 % of the pixels) with 1.5, 10 with 4."""
 
 
 class BakedRenderer:
@@ -191,11 +191,14 @@ def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:
         v, u = ((np.arange(count) + 0.5) / count for count in coverage.shape)
         places = np.meshgrid(v * grain.shape[0] - 0.5, u * grain.shape[1] - 0.5, indexing="ij")
         grain = map_coordinates(grain, places, order=1, mode="nearest")
-    pixel = pixel_size(scene)
+    pixel = pixel_size(scene) / TEXEL
+    step = max(pixel / TEXELS_A_PIXEL, 1.0)
+    # Reading between texels blurs too, with a variance of up to step²/6: the box and that together have a pixel's, pixel²/12.
+    box = np.sqrt(max(pixel**2 - 2 * step**2, (pixel / 4) ** 2))
     layers = []
     for layer in (grain * (1 - coverage), coverage):
         for axis in (0, 1):
-            layer = _box_resampled(layer, axis, pixel / TEXEL, max(pixel / TEXEL / TEXELS_A_PIXEL, 1.0))
+            layer = _box_resampled(layer, axis, box, step)
         layers.append(layer)
     texture = np.stack(layers, axis=-1).astype(np.float32)
     return texture, (texture.shape[1], texture.shape[0])
