@@ -44,7 +44,7 @@ def known() -> Iterator[Known]:
     yield Known("rigid punch R 3, 0.06 mm, on 20 mm: force", _thick_punch, 0.02, sneddon, "N", quick=False)
     for nu, force in ((0.49, 1.217), (0.499, 1.331)):
         text = f"sticking punch R 3, 0.5 mm, on 2.4 mm, ν {nu}: force"
-        yield Known(text, partial(_punch, nu, force), 0.02, "reference/fem: ± 0.3 %", "N", quick=False)
+        yield Known(text, partial(_punch, nu, force), 0.02, "another code, ± 0.3 %", "N", quick=False)
     for radius, depth in ((2.5, 0.6), (5.0, 0.1), (5.0, 0.6), (10.0, 0.3), (10.0, 0.6)):
         text = f"rigid ball R {radius:g}, {depth:g} mm, on 2.4 mm: force"
         yield Known(text, partial(_long, radius, depth), 0.05, "Long et al. 2011, a fit of some per cent", "N", quick=depth == 0.6)

@@ -61,7 +61,8 @@ def _cases(options: Options) -> Iterator[Case]:
     yield case(
         "a skin of 1 mm, ten times stiffer", {"youngs_modulus_kpa": 60.0, "skin": {"thickness_mm": 1.0, "youngs_modulus_kpa": 600.0}}
     )
-    yield case("stiff grains in a soft body", {"shape": "candy"})
+    grains: Layer = {"count": 3, "radius_mm": 1.2, "youngs_modulus_kpa": 5e3}
+    yield case("stiff grains in a soft body", {"grains": grains})
     yield Case("a mesh of poor quality", lambda: _spoiled(plain.scene or {}), plain.scene)
     yield case("one load step", press={"frames": 2})
     yield case("50 load steps", press={"frames": 51})

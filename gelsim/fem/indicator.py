@@ -65,8 +65,12 @@ def surface_kink(rest: Array, faces: NDArray[np.int32], displacement: Array) -> 
         displacement: (N, 3), in the same unit.
     """
     z = displacement[:, 2]
-    corners = rest[faces[:, :3], :2]
-    area = 0.5 * np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+    corners = rest[faces[:, :3]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lying = np.abs(normal[:, 2]) > 1e-3 * np.linalg.norm(normal, axis=1)  # an upright face has no slope over x, y
+    if not lying.any():
+        return 0.0
+    faces, area = faces[lying], 0.5 * np.abs(normal[lying, 2])
     area[np.abs(z[faces]).max(1) <= MOVING * np.abs(z[faces]).max()] = 0.0
     # slopes at the middles of the three sides; the middle nodes say which sides of two faces are one
     shape = tri6_gradient(np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]]))
