@@ -107,8 +107,9 @@ def _parser() -> Parser:
     bench.add_argument("--force", action="store_true", help="begin again in an existing folder")
     bench.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
     _add_output_flags(bench, _bench)
-    inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz or a mesh file holds")
-    inspect.add_argument("path", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
+    inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
+    inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
+    inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
     inspect.add_argument("--out", metavar="FILE.png", help="where to draw it (default: not drawn)")
     inspect.add_argument("--mesh-unit", default="mm", choices=("mm", "cm", "m", "in"), help="unit of a mesh file (default: mm)")
     inspect.add_argument("--force", action="store_true", help="write over an existing --out")
@@ -184,12 +185,18 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
 def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim import inspection
 
-    facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit)
+    if (options.path is None) == (options.sensor is None):
+        raise SceneError("inspect: give a path, or --sensor NAME")
+    sensor = build_scene({"sensor": {"preset": options.sensor}}) if options.sensor else None
+    facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit) if sensor is None else inspection.inspect_sensor(sensor)
     if options.out:
         out = Path(options.out)
         if out.exists() and not options.force:
             raise SceneError(f"--out {options.out}: exists; give --force to write over it")
-        inspection.draw(Path(options.path), out, mesh_unit=options.mesh_unit)
+        if sensor is None:
+            inspection.draw(Path(options.path), out, mesh_unit=options.mesh_unit)
+        else:
+            inspection.draw_sensor(sensor, out)
         facts["drawing"] = str(out)
     if not options.json:
         print(inspection.describe(facts))

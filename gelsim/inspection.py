@@ -48,6 +48,24 @@ def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
     return plain
 
 
+def inspect_sensor(scene: Scene) -> dict[str, Any]:
+    """The facts about a scene's sensor, as plain values."""
+    from gelsim import sensor_sheet
+
+    return {"kind": "sensor", "preset": scene.sensor.preset} | sensor_sheet.sensor_facts(scene)
+
+
+def draw_sensor(scene: Scene, out: Path) -> None:
+    """Draws layout and no-contact frame of a scene's sensor into a PNG file.
+
+    Raises:
+        RenderError: This machine cannot render.
+    """
+    from gelsim import sensor_sheet
+
+    sensor_sheet.draw_sensor(out, scene)
+
+
 def describe(facts: dict[str, Any]) -> str:
     """The facts as aligned lines for people."""
     lines = []

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
-from gelsim.optics.spectra import light_rgb
+from gelsim.optics.spectra import light_colour
 from gelsim.scene import Light, Scene
 
 
@@ -35,7 +35,7 @@ def light_pose(light: Light) -> NDArray[np.float64]:
 
 def light_radiance(light: Light) -> NDArray[np.float64]:
     """Radiance of the light's face [mW / mm² sr], shape (3,)."""
-    return light.power * light_rgb(light) / (np.pi * light.size_mm[0] * light.size_mm[1])
+    return light.power * light_colour(light) / (np.pi * light.size_mm[0] * light.size_mm[1])
 
 
 def emitter_dict(scene: Scene) -> dict[str, dict]:

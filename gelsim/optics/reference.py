@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.optics.camera import pixel_rays
-from gelsim.optics.spectra import light_rgb
+from gelsim.optics.spectra import light_colour
 from gelsim.scene import Light, Scene
 
 
@@ -39,7 +39,7 @@ def irradiance(light: Light, points: NDArray[np.float64], normals: NDArray[np.fl
     up = np.cross(facing, along)
     steps = (np.arange(cells) + 0.5) / cells - 0.5
     # Of intensity L A cos^m over the hemisphere: Φ = 2 π L A / (m + 1); m = 1 is a Lambertian face.
-    radiance = light.power * light_rgb(light) * (light.lobe + 1) / (2 * np.pi * light.size_mm[0] * light.size_mm[1])
+    radiance = light.power * light_colour(light) * (light.lobe + 1) / (2 * np.pi * light.size_mm[0] * light.size_mm[1])
     cell_area = light.size_mm[0] * light.size_mm[1] / cells**2
     total = np.zeros((*points.shape[:-1], 3))
     for s in steps:

@@ -88,7 +88,7 @@ def rgb_on_coat(flux: ArrayLike, reflectance: ArrayLike, albedo: ArrayLike) -> N
     return spectrum_rgb(_checked(reflectance, "reflectance") * _checked(flux, "spectrum")) / np.asarray(albedo, float)
 
 
-def light_rgb(light: Light) -> NDArray[np.float64]:
+def light_colour(light: Light) -> NDArray[np.float64]:
     """Linear colour of a light: its `rgb`, or what its LED spectrum is to the camera; shape (3,)."""
     if light.peak_nm is None or light.width_nm is None:
         return np.array(light.rgb, float)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from gelsim.optics.camera import gel_ray, make_lens, sideways
 from gelsim.optics.coating import flake_albedo, grain_pattern, marker_coverage
 from gelsim.optics.scene_dict import mesh_arrays
-from gelsim.optics.spectra import light_rgb
+from gelsim.optics.spectra import light_colour
 from gelsim.results import Membrane
 from gelsim.scene import Scene
 
@@ -40,8 +40,8 @@ OFFSET = 2e-3
 GATHER_ROUNDS = 2
 POOL_CELLS = 32
 """Along a side of the gel: what the window returns has travelled centimetres, finer detail is lost in it."""
-PATCHES = 4
-"""Along a side of the gel; with 16 paths a pixel's light from the window is a sum over 16 x 16 places."""
+PATCHES = 3
+"""Along a side of the gel; with 16 paths a pixel's light from the window is a sum over 9 x 16 places."""
 VERTEX_GATHER_RAYS = 4
 """From a vertex, and one sample on each light. Vertices are 0.08 mm apart, and a pixel averages over as many as it has paths."""
 
@@ -73,7 +73,7 @@ class Tracer:
                 f"lights.{i}.position_mm": mi.Point3f(light.position_mm),
                 f"lights.{i}.direction": mi.Vector3f(light.direction),
                 f"lights.{i}.size_mm": mi.Vector2f(light.size_mm),
-                f"lights.{i}.rgb": mi.Color3f(light_rgb(light)),
+                f"lights.{i}.rgb": mi.Color3f(light_colour(light)),
                 f"lights.{i}.power": mi.Float(light.power),
             }
         values["coating.albedo"] = mi.Color3f(scene.coating.albedo)

@@ -11,7 +11,7 @@ from gelsim.errors import SceneError
 from gelsim.membrane import moved_membrane
 from gelsim.optics.render import ScalarRenderer
 from gelsim.optics.scene_dict import scene_dict
-from gelsim.optics.spectra import WAVELENGTHS, camera_sensitivities, led_spectrum, light_rgb, reflectance_rgb, rgb_on_coat, spectrum_rgb
+from gelsim.optics.spectra import WAVELENGTHS, camera_sensitivities, led_spectrum, light_colour, reflectance_rgb, rgb_on_coat, spectrum_rgb
 from gelsim.optics.variant import SCALAR, use_variant
 from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
@@ -30,8 +30,8 @@ def test_led_has_its_peak_its_width_and_its_flux():
 def test_equal_energy_is_white_and_colours_land_in_their_channels():
     assert spectrum_rgb(np.full(401, 1 / 401)) == pytest.approx(np.ones(3))
     for channel, peak in enumerate((625.0, 525.0, 465.0)):
-        assert np.argmax(light_rgb(Light(peak_nm=peak, width_nm=20.0))) == channel
-    assert light_rgb(Light(rgb=(0.1, 0.2, 0.3))) == pytest.approx([0.1, 0.2, 0.3])
+        assert np.argmax(light_colour(Light(peak_nm=peak, width_nm=20.0))) == channel
+    assert light_colour(Light(rgb=(0.1, 0.2, 0.3))) == pytest.approx([0.1, 0.2, 0.3])
 
 
 @pytest.mark.parametrize("value", [float("nan"), -0.1, float("inf")])

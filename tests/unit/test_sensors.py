@@ -1,0 +1,45 @@
+"""The shipped sensors: each is lit as its file says, and is drawn with its facts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from PIL import Image
+
+from gelsim.cli import main
+from gelsim.membrane import rest_membrane
+from gelsim.optics import render_frames
+from gelsim.scene_file import build_scene, preset_names
+
+SHIPPED = ("digit", "fingertip2017", "gelsight_mini")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_no_contact_is_mid_grey_in_the_middle(name):
+    assert name in preset_names()
+    scene = build_scene({"sensor": {"preset": name}, "render": {"resolution": [64, 48], "spp": 4}, "markers": {"layout": "none"}})
+    (frame,) = render_frames(scene, [rest_membrane(scene)])
+    middle = frame.image[16:32, 24:40].mean(axis=(0, 1))
+    # Each file promises 95 to 125; DIGIT's three lamps do not make grey, so each of its channels may be 25 off.
+    slack = 25 if name == "digit" else 0
+    assert 95 <= middle.mean() <= 125 and 95 - slack <= middle.min() and middle.max() <= 125 + slack
+    # Planted: half the exposure is seen.
+    dark = scene.replace(camera=replace(scene.camera, exposure=scene.camera.exposure / 2))
+    assert next(iter(render_frames(dark, [rest_membrane(dark)]))).image[16:32, 24:40].mean() < 95
+
+
+def test_inspect_draws_a_sensor(tmp_path, capsys):
+    out = tmp_path / "mini.png"
+    assert main(["inspect", "--sensor", "gelsight_mini", "--out", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["kind"] == "sensor" and "25.25 x 20.75 x 4.25 mm" in facts["gel"] and facts["drawing"] == str(out)
+    with Image.open(out) as drawing:
+        assert drawing.size[0] > 800
+
+
+def test_inspect_wants_one_thing(capsys):
+    assert main(["inspect"]) == 2 and "--sensor NAME" in capsys.readouterr().err
+    assert main(["inspect", "x.stl", "--sensor", "digit"]) == 2
+    assert main(["inspect", "--sensor", "digitt"]) == 2 and "did you mean 'digit'" in capsys.readouterr().err
