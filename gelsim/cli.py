@@ -1,4 +1,4 @@
-"""The command line: `gelsim render | press | bench | inspect | doctor` (what each writes: README.md).
+"""The command line: `gelsim render | press | calibrate | bench | inspect | doctor` (what each writes: README.md).
 
 Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved
 is kept. Nothing heavy is imported before a command needs it, so that --help is instant.
@@ -47,6 +47,12 @@ examples:
   gelsim bench --out out/bench --resume --page docs/validation.md       what is missing, then the page's tables
 
 Writes bench.md (the tables), one CSV a section, results.jsonl (a line a case) and plots."""
+CALIBRATE_EXAMPLES = """\
+examples:
+  gelsim calibrate --photos photos/ --sensor mine --out out/mine/sensor.toml
+  gelsim render --sensor out/mine/sensor.toml --shape hemisphere --rigid --radius-mm 2 --depth-mm 0.8
+
+What the folder must hold and how far to trust the result: docs/calibrate.md."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -107,6 +113,13 @@ def _parser() -> Parser:
     bench.add_argument("--force", action="store_true", help="begin again in an existing folder")
     bench.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
     _add_output_flags(bench, _bench)
+    calibrate = commands.add_parser("calibrate", help="fit a sensor's optics to photographs of a pressed ball", epilog=CALIBRATE_EXAMPLES)
+    calibrate.add_argument("--photos", required=True, metavar="DIR", help="pictures, photos.toml and, if wanted, presses.csv")
+    calibrate.add_argument("--sensor", metavar="NAME", help="a preset to start from (gel, window, camera), or a name for a new sensor")
+    calibrate.add_argument("--out", required=True, metavar="FILE.toml", help="the preset; report.json and pictures go beside it")
+    calibrate.add_argument("--force", action="store_true", help="write over earlier files of these names")
+    calibrate.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to render (default: auto)")
+    _add_output_flags(calibrate, _calibrate)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
@@ -222,6 +235,18 @@ def _bench(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print((Path(options.out) / "bench.md").read_text())
     return result
+
+
+def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim import calibrate
+
+    with _progress() as progress:
+        report = calibrate.calibrate(
+            Path(options.photos), Path(options.out), sensor=options.sensor, force=options.force, device=options.device, progress=progress
+        )
+    if not options.json:
+        print(calibrate.summary(report))
+    return report
 
 
 def _doctor(options: argparse.Namespace) -> dict[str, Any]:

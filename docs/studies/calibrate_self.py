@@ -1,0 +1,127 @@
+"""Does `gelsim calibrate` find a sensor that is known? Photographs drawn by the renderer, noise added, a start that knows nothing of it.
+
+    python docs/studies/calibrate_self.py --out out/calibrate_self [--presses 16] [--size 160x120] [--fem 2]
+
+The sensor: a dome of 45 mm radius and 3.2 mm thickness, three lights at other places and of other sizes than any start, a coat of a fifth
+flakes, inter-reflection on. Balls of 2.5 mm at places and depths drawn by lot; every fourth is a test press. `--fem` N: the dents of the
+first N test presses are solved in three dimensions on the dome, not taken from the family the fit uses. Noise: 1.5 levels, then 8 bits.
+Prints each parameter with its truth and its distance in standard deviations, and writes found.csv.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from gelsim import pipeline
+from gelsim.calibrate import calibrate, drawing
+from gelsim.calibrate.dent import effective_radius, solve_dents
+from gelsim.calibrate.parameters import GEOMETRY, GLOBALS, Parameters, dome_of, empty_scene, to_scene
+from gelsim.scene import Body, Camera, Gel, Lights, Press, Render
+
+BALL_MM, THICKNESS_MM, CURVATURE, FIELD_MM = 2.5, 3.2, 1 / 45, 18.0
+NOISE = 1.5
+
+
+def truth(width: int, height: int) -> Parameters:
+    half = 0.5 * FIELD_MM * np.hypot(1, height / width)
+    places = [(1.5, 25.0, -0.75, 0.35, 0.55, 0.18), (1.7, 140.0, -0.6, 0.3, 0.7, 0.15), (1.45, 268.0, -0.85, 0.45, 0.45, 0.2)]
+    lights = [[a * half, np.radians(b), c * half, 0.0, d, np.log(e * half), np.log(f * half)] for a, b, c, d, e, f in places]
+    colours = np.array([[16.0, 1.0, 0.6], [0.8, 17.0, 1.2], [0.5, 1.4, 14.0], [1500.0, 1500.0, 1700.0]])
+    values = np.array([FIELD_MM / width, 34.0, CURVATURE, THICKNESS_MM, 0.2, 0.45, 1.0])
+    return Parameters(values, np.array(lights), colours, np.zeros((0, 3)), half, width / 2, (4.0, 1.49, 1.41))
+
+
+def write_photos(folder: Path, width: int, height: int, count: int, fem: int, spp: int, seed: int) -> tuple[Parameters, np.ndarray]:
+    """Draws the photographs; returns the sensor and the presses (x, y, depth [mm])."""
+    rng = np.random.default_rng(seed)
+    sensor = truth(width, height)
+    gel = Gel(thickness_mm=THICKNESS_MM)
+    base = empty_scene(dome_of(gel, CURVATURE), Camera(), Lights())
+    scene = to_scene(sensor, base, (width, height)).replace(render=Render(resolution=(width, height), spp=spp))
+    reach = 0.5 * FIELD_MM * np.array([1, height / width]) - 2.2
+    # Spread evenly: shuffled strata along both axes.
+    strata = np.stack([rng.permutation(count), rng.permutation(count)], axis=1)
+    presses = np.column_stack([(2 * (strata + rng.random((count, 2))) / count - 1) * reach, rng.uniform(0.5, 1.2, count)])
+    test = np.arange(count) % 4 == 3
+    dents = solve_dents(gel, effective_radius(BALL_MM, CURVATURE), True)
+    rest, pictures = drawing.draw(scene, dents.at(THICKNESS_MM), BALL_MM, list(presses))
+    for index in np.flatnonzero(test)[:fem]:
+        x, y, depth = (float(value) for value in presses[index])
+        solid = scene.replace(
+            object=Body(shape="hemisphere", rigid=True, radius_mm=BALL_MM, height_mm=6.0),
+            press=Press(depth_mm=depth, force_n=None, frames=6, offset_mm=(x, y)),
+        )
+        deformation, frames = pipeline.simulate(solid)
+        difference = frames[-1].image.astype(float) - pictures[index]
+        print(f"press {index}, solved in three dimensions: {np.sqrt((difference**2).mean()):.2f} levels from the family's picture")
+        pictures[index] = frames[-1].image
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, picture in [("rest.png", rest), *((f"press_{i:02d}.png", picture) for i, picture in enumerate(pictures))]:
+        noisy = picture + NOISE * rng.standard_normal(picture.shape)
+        Image.fromarray(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8)).save(folder / name)
+    with (folder / "presses.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["file", "split"])
+        table.writerows([f"press_{i:02d}.png", "test" if test[i] else "train"] for i in range(count))
+    settings = f'ball_radius_mm = {BALL_MM}\nno_contact = "rest.png"\nmm_per_px = {FIELD_MM / width}\n'
+    (folder / "photos.toml").write_text(settings, encoding="utf-8")
+    return sensor, presses
+
+
+def compare(report: dict, sensor: Parameters, presses: np.ndarray) -> list[tuple[str, float, float, float, str]]:
+    """Name, truth, found, standard deviation and state of each parameter; lights by the nearest direction."""
+    found = report["parameters"]
+    rows = []
+    for name, value in zip(GLOBALS, sensor.globals, strict=True):
+        if found[name]["state"] != "given":
+            rows.append((name, float(value), found[name]["value"], found[name]["sd"], found[name]["state"]))
+    names = report["fit"]["lights"][:-1]
+    angles = np.array([found[f"lights.{name}.azimuth_rad"]["value"] for name in names])
+    for light in sensor.geometry:
+        away = np.angle(np.exp(1j * (angles - light[1])))
+        name = names[int(np.abs(away).argmin())]
+        for what, value in zip(GEOMETRY, light, strict=True):
+            entry = found[f"lights.{name}.{what}"]
+            got = float(value + away[np.abs(away).argmin()]) if what == "azimuth_rad" else entry["value"]
+            rows.append((f"{name}.{what}", float(value), got, entry["sd"], entry["state"]))
+    for row, press in zip(report["presses"], presses, strict=True):
+        for k, what in enumerate(("x_mm", "y_mm", "depth_mm")):
+            rows.append((f"{row['file']}.{what}", float(press[k]), [*row["offset_mm"], row["depth_mm"]][k], row["sd_mm"][k], row["split"]))
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--presses", type=int, default=16)
+    parser.add_argument("--size", default="160x120")
+    parser.add_argument("--fem", type=int, default=0)
+    parser.add_argument("--spp", type=int, default=144)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    width, height = (int(part) for part in options.size.split("x"))
+    sensor, presses = write_photos(options.out / "photos", width, height, options.presses, options.fem, options.spp, options.seed)
+    report = calibrate(options.out / "photos", options.out / "sensor.toml", sensor="self", force=True)
+    rows = compare(report, sensor, presses)
+    with (options.out / "found.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["parameter", "truth", "found", "sd", "distance_sd", "state"])
+        for name, wanted, got, sd, state in rows:
+            table.writerow([name, f"{wanted:.5g}", f"{got:.5g}", f"{sd:.2g}", f"{(got - wanted) / max(sd, 1e-9):.2f}", state])
+            if not name.startswith("press_"):
+                print(f"{name:26s} truth {wanted:9.4f} found {got:9.4f} ± {sd:7.4f}  {(got - wanted) / max(sd, 1e-9):6.1f} sd  {state}")
+    apart = np.array(
+        [[abs(got - wanted), abs(got - wanted) / max(sd, 1e-9)] for name, wanted, got, sd, _ in rows if name.startswith("press_")]
+    )
+    print(f"presses: median error {1e3 * np.median(apart[:, 0]):.0f} µm; within 2 sd {100 * (apart[:, 1] < 2).mean():.0f} %")
+    for split, score in report["scores"].items():
+        print(split, {name: round(value, 3) for name, value in score["whole"].items()})
+
+
+if __name__ == "__main__":
+    main()

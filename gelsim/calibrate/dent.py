@@ -1,0 +1,185 @@
+"""The dent of a ball in the gel as a family of one parameter, the depth: solved once by finite elements, then interpolated.
+
+A rigid ball of radius R on a dome of radius R_d touches it, to second order in the slopes, as a ball of radius R' = 1/(1/R + 1/R_d)
+touches a plane: the gap between the two is the same function of the distance from where they first touch. So the axisymmetric press
+of a ball into the flat gel (`gelsim.pipeline`) gives the displacement u(ρ; d) for every place on the dome,
+
+    z(x, y) = h(x, y) + d f(ρ / √(R' d); d),    ρ the distance from first touch,
+
+with f interpolated linearly in ρ/√(R' d) and in d: in that variable the contact's edge stays almost in place. The first touch of a ball
+whose apex is at c lies at c R_d / (R + R_d).
+
+Left out: how the gel's thickness falls toward the dome's edge, the gel's borders, the shallow-slope approximation's own error (of second
+order in the dome's slope; a test compares with the press solved in three dimensions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim import pipeline
+from gelsim.errors import SolveError
+from gelsim.scene import Body, Gel, Press, Scene
+from gelsim.units import MM
+
+Array = NDArray[np.float64]
+
+DEPTHS = 24
+"""Solved depths; between them f is linear."""
+REACH = 14.0
+"""Largest tabulated ρ/√(R' d); beyond, the gel is taken to be at rest."""
+NODES = 561
+SHALLOWEST = 0.03
+"""Smallest depth [mm] that the family is used at."""
+
+
+@dataclass(frozen=True, eq=False)
+class DentFamily:
+    """Tables over depth (first axis) and over ρ/√(R' d) (second axis)."""
+
+    depths_mm: Array
+    """Equally spaced, shape (D,)."""
+    height: Array
+    """z / d of the deformed surface at a place in space, shape (D, NODES)."""
+    slope: Array
+    """Its derivative by ρ/√(R' d)."""
+    moved: Array
+    """Radial and vertical displacement over d of a material point, shape (2, D, NODES)."""
+
+    @property
+    def deepest_mm(self) -> float:
+        return float(self.depths_mm[-1])
+
+    def surface(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> tuple[Array, Array]:
+        """z [mm] and dz/dρ of the dent alone at a distance from first touch; `radius_mm` is R'. Arrays of one shape."""
+        unit = np.sqrt(radius_mm * depth_mm)
+        row, column = self._place(distance_mm / unit, depth_mm)
+        return depth_mm * _bilinear(self.height, row, column), depth_mm / unit * _bilinear(self.slope, row, column)
+
+    def height_at(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> Array:
+        """The first of `surface` alone."""
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
+        return depth_mm * _bilinear(self.height, row, column)
+
+    def displacement(self, distance_mm: Array, depth_mm: float, radius_mm: float) -> tuple[Array, Array]:
+        """Radial and vertical displacement [mm] of material points at a rest distance from first touch."""
+        depth = np.full_like(distance_mm, depth_mm)
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth), depth)
+        return depth * _bilinear(self.moved[0], row, column), depth * _bilinear(self.moved[1], row, column)
+
+    def _place(self, scaled: Array, depth_mm: Array) -> tuple[Array, Array]:
+        first, step = self.depths_mm[0], self.depths_mm[1] - self.depths_mm[0]
+        row = np.clip((depth_mm - first) / step, 0, len(self.depths_mm) - 1.000001)
+        return row, np.clip(scaled * ((NODES - 1) / REACH), 0, NODES - 1.000001)
+
+
+def _bilinear(table: Array, row: Array, column: Array) -> Array:
+    i, j = row.astype(np.int64), column.astype(np.int64)
+    s, t = row - i, column - j
+    flat = table.ravel()
+    k = i * table.shape[1] + j
+    below = flat[k] * (1 - t) + flat[k + 1] * t
+    above = flat[k + table.shape[1]] * (1 - t) + flat[k + table.shape[1] + 1] * t
+    return below * (1 - s) + above * s
+
+
+def effective_radius(ball_mm: float, curvature: float) -> float:
+    """R' [mm] of a ball on a dome of curvature 1/R_d [1/mm]."""
+    return 1.0 / (1.0 / ball_mm + curvature)
+
+
+@dataclass(frozen=True, eq=False)
+class Dents:
+    """Families of several gel thicknesses."""
+
+    thicknesses_mm: Array
+    """Increasing, shape (T,)."""
+    families: tuple[DentFamily, ...]
+    """On the same depths."""
+
+    @property
+    def deepest_mm(self) -> float:
+        return self.families[0].deepest_mm
+
+    def at(self, thickness_mm: float) -> DentFamily:
+        """The family of a thickness, linear between those solved."""
+        if len(self.families) == 1:
+            return self.families[0]
+        place = np.interp(thickness_mm, self.thicknesses_mm, np.arange(len(self.families)))
+        index = min(int(place), len(self.families) - 2)
+        share, a, b = place - index, self.families[index], self.families[index + 1]
+        mixed = ((1 - share) * getattr(a, name) + share * getattr(b, name) for name in ("height", "slope", "moved"))
+        return DentFamily(a.depths_mm, *mixed)
+
+
+THICKNESSES = (1.5, 2.4, 4.0, 6.0, 9.0)
+"""Solved [mm] when the gel is not known."""
+
+
+def solve_dents(gel: Gel, ball_radius_mm: float, known: bool, progress: Callable[[int, int], None] | None = None) -> Dents:
+    """Families of the gel's own thickness if that is known, else of THICKNESSES.
+
+    Args:
+        ball_radius_mm: R' of the start's dome; other R' are reached by scaling.
+    """
+    wanted = (gel.thickness_mm,) if known else THICKNESSES
+    deepest = min(0.75 * max(wanted), 0.9 * ball_radius_mm)
+    depths = np.linspace(deepest / DEPTHS, deepest, DEPTHS)
+    families = []
+    for index, thickness in enumerate(wanted):
+        families.append(_solve(replace(gel, thickness_mm=thickness), ball_radius_mm, depths))
+        if progress:
+            progress(index + 1, len(wanted))
+    return Dents(np.array(wanted), tuple(families))
+
+
+def _solve(gel: Gel, ball_radius_mm: float, depths: Array) -> DentFamily:
+    """One family at the wanted depths; deeper than a gel can be pressed, its last state is kept."""
+    deepest = min(0.75 * gel.thickness_mm, float(depths[-1]))
+    flat = replace(gel, profile="flat", prony_g=(), prony_tau_s=())
+    scene = Scene(
+        gel=flat,
+        object=Body(shape="hemisphere", rigid=True, radius_mm=ball_radius_mm, height_mm=2 * ball_radius_mm + deepest),
+        press=Press(depth_mm=deepest, force_n=None, frames=DEPTHS + 1, symmetry="axisymmetric"),
+    )
+    press = pipeline.press(scene, throw=False)
+    usable = np.flatnonzero(press.converged & (press.approach > 0))
+    if len(usable) < 2:
+        raise SolveError(f"a ball of {ball_radius_mm:g} mm cannot be pressed into a gel of {gel.thickness_mm:g} mm: {press.message}")
+    rest = press.gel.rest / MM
+    distance = np.hypot(rest[:, 0], rest[:, 1])
+    # The turned profile repeats each node around the axis: one of each is kept.
+    _, kept = np.unique(np.round(distance, 6), return_index=True)
+    away = np.where(distance[kept, None] > 0, rest[kept, :2] / np.maximum(distance[kept, None], 1e-12), 0.0)
+    scaled = np.linspace(0, REACH, NODES)
+    tables = []
+    for state in usable:
+        depth = press.approach[state] / MM
+        u = press.gel.displacement[state][kept] / MM
+        radial, vertical = (u[:, :2] * away).sum(axis=1), u[:, 2]
+        unit = np.sqrt(ball_radius_mm * depth)
+        rows = [_smooth(distance[kept] / unit, part / depth, scaled) for part in (radial, vertical)]
+        tables.append([*rows, _smooth((distance[kept] + radial) / unit, vertical / depth, scaled)])
+    at = np.clip(np.interp(depths, press.approach[usable] / MM, np.arange(len(usable))), 0, len(usable) - 1.000001)
+    low = at.astype(int)
+    share = (at - low)[:, None, None]
+    table = np.array(tables)
+    table = (1 - share) * table[low] + share * table[low + 1]
+    height = table[:, 2]
+    slope = np.gradient(height, scaled, axis=1, edge_order=2)
+    slope[:, 0] = 0.0
+    return DentFamily(depths, height, slope, table[:, :2].transpose(1, 0, 2))
+
+
+def _smooth(places: Array, values: Array, wanted: Array) -> Array:
+    """Values at the wanted places by shape-preserving cubics; 0 beyond the last place, reached without a step."""
+    from scipy.interpolate import PchipInterpolator
+
+    increasing = np.concatenate([[True], np.diff(places) > 1e-9])
+    table = PchipInterpolator(places[increasing], values[increasing], extrapolate=False)(wanted)
+    fade = np.clip((REACH - wanted) / (0.1 * REACH), 0, 1)
+    return np.nan_to_num(table) * fade

@@ -1,0 +1,57 @@
+"""Markers in photographs: which pixels they darken, so that the fit leaves these out, and the grid they form without contact.
+
+A pixel belongs to a marker if it is darker than 0.8 of the 70th percentile around it. Of the blobs in the no-contact picture, pitch is the
+median distance to the nearest neighbour, tilt the median direction to it modulo 90 degrees, radius that of the median area. Left out: each
+marker's own place and outline; a grid whose middle is not the gel's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.scene import Markers
+
+Array = NDArray[np.float64]
+
+DARKER = 0.8
+FEWEST = 6
+"""Blobs that make a grid."""
+
+
+def dark_pixels(photos: Array) -> NDArray[np.bool_]:
+    """Pixels that are much darker than around them, of pictures (N, H, W, 3): shape (N, H, W)."""
+    from scipy import ndimage
+
+    grey = photos.mean(axis=3)
+    side = max(7, grey.shape[2] // 12 | 1)
+    return grey < DARKER * ndimage.percentile_filter(grey, 70, size=(1, side, side))
+
+
+def with_margin(dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The pixels around them too: a marker's rim is a mixture."""
+    from scipy import ndimage
+
+    return np.asarray(ndimage.binary_dilation(dark, iterations=2, structure=np.ones((1, 3, 3))), bool)
+
+
+def marker_grid(no_contact: Array, mm_per_px: float) -> Markers | None:
+    """The markers of a picture (H, W, 3) as a regular grid; None where there are too few."""
+    from scipy import ndimage
+    from scipy.spatial import KDTree
+
+    labels, count = ndimage.label(dark_pixels(no_contact[None])[0])  # type: ignore[misc]
+    if count < FEWEST:
+        return None
+    numbers = np.arange(1, count + 1)
+    areas = np.asarray(ndimage.sum(labels > 0, labels, numbers), float)
+    # Dust is smaller than half a marker, shadows are larger than three.
+    usual = (areas > 0.5 * np.median(areas)) & (areas < 3 * np.median(areas))
+    centres = np.array(ndimage.center_of_mass(labels > 0, labels, numbers))[usual, ::-1]
+    if len(centres) < FEWEST:
+        return None
+    distances, neighbours = KDTree(centres).query(centres, k=2)
+    toward = centres[np.asarray(neighbours)[:, 1]] - centres
+    turn = np.angle(np.median(np.exp(4j * np.arctan2(toward[:, 1], toward[:, 0])).view(float).reshape(-1, 2), axis=0) @ [1, 1j]) / 4
+    pitch, radius = float(np.median(np.asarray(distances)[:, 1])) * mm_per_px, float(np.sqrt(np.median(areas[usual]) / np.pi)) * mm_per_px
+    return Markers(layout="grid", pitch_mm=pitch, radius_mm=min(radius, 0.45 * pitch), tilt_deg=float(np.degrees(turn)))

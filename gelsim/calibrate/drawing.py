@@ -1,0 +1,47 @@
+"""Pictures of a fitted sensor by the renderer: what `gelsim render --sensor sensor.toml` shows, with the dent of `calibrate.dent`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim import membrane, optics
+from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius
+from gelsim.calibrate.parameters import curvature_of
+from gelsim.results import Membrane
+from gelsim.scene import Scene
+from gelsim.units import MM
+
+Array = NDArray[np.float64]
+
+
+def dented(scene: Scene, dents: DentFamily, ball_mm: float, press: Array) -> Membrane:
+    """The coated surface under a ball whose apex is at press[:2] [mm], press[2] [mm] deep."""
+    curvature = curvature_of(scene.gel)
+    centre = press[:2] / (1 + ball_mm * curvature)
+    depth = float(np.clip(press[2], SHALLOWEST, dents.deepest_mm))
+
+    def displacement(places: Array) -> Array:
+        away = places / MM - centre
+        distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
+        radial, vertical = dents.displacement(distance, depth, effective_radius(ball_mm, curvature))
+        return np.column_stack([away * (radial / distance)[:, None], vertical]) * MM
+
+    return membrane.moved_membrane(scene, displacement)
+
+
+def draw(
+    scene: Scene,
+    dents: DentFamily,
+    ball_mm: float,
+    presses: Sequence[Array],
+    *,
+    device: str = "auto",
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The picture without contact (H, W, 3), and one of each press (P, H, W, 3), 8 bit."""
+    surfaces = [membrane.rest_membrane(scene), *(dented(scene, dents, ball_mm, press) for press in presses)]
+    frames = [frame.image for frame in optics.render_frames(scene, surfaces, device=device, progress=progress)]
+    return frames[0], np.array(frames[1:], np.uint8).reshape(len(presses), *frames[0].shape)

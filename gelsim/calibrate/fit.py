@@ -1,0 +1,254 @@
+"""Least squares over sensor and presses at once: Levenberg-Marquardt with a robust loss, priors and bounds.
+
+    minimise  Σ_i ϱ((I_i − M_i(θ, p)) / σ) + Σ_k ((θ_k − θ⁰_k) / s_k)²
+
+over the sensor θ and the place and depth p of each press; ϱ is Huber's. Derivatives by geometry are one-sided differences, all presses
+at once (each pixel depends on its own press only), those by colour and shading exact. Uncertainties are of the sandwich kind: H⁻¹ G H⁻¹
+with G the sum over blocks of pixels of g gᵀ, so that errors that neighbouring pixels share (compression, what the model lacks) count as
+what they are. Left out: errors that all photographs share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.calibrate import model
+from gelsim.calibrate.dent import SHALLOWEST, Dents
+from gelsim.calibrate.parameters import ALBEDO, EXPOSURE, FLAKE, GEOMETRY, GLOBALS, Parameters
+
+Array = NDArray[np.float64]
+
+HUBER = 2.0
+"""Residuals beyond so many standard deviations count linearly."""
+PRESS_STEP = (1e-3, 1e-3, 1e-3)
+"""Steps of the differences by place and depth [mm]."""
+STEPS = {"camera.mm_per_px": 1e-5, "camera.distance_mm": 1e-2, "gel.curvature": 1e-5, "gel.thickness_mm": 1e-3}
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What is fitted to."""
+
+    pixels: model.Pixels
+    level: Array
+    """Observed, shape (N, 3)."""
+    weight: Array
+    """Of each observation, shape (N, 3); 0 where it does not count."""
+    block: NDArray[np.int64]
+    """Pixels of one block share errors."""
+    basis: Array
+    """Shading polynomials at the pixels, shape (N, S)."""
+    correction: Array
+    """Added to the model's levels, shape (N, 3): what the renderer adds to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Where the fit ended."""
+
+    parameters: Parameters
+    presses: Array
+    """x, y, depth [mm], shape (P, 3)."""
+    cost: float
+    rms: float
+    """Of the residuals [levels]."""
+    sigma: float
+    covariance: Array
+    """Of parameters, then presses."""
+    iterations: int
+
+
+class Evaluation:
+    """The model at one place, and what its derivatives need."""
+
+    def __init__(self, parameters: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float) -> None:
+        self.parameters, self.presses, self.data, self.solved, self.ball_mm = parameters, presses, data, dents, ball_mm
+        self.dents = dents.at(parameters.globals[3])
+        self.shape = parameters.shape(ball_mm)
+        self.seen = model.surface(self.shape, self.dents, presses, data.pixels)
+        self.lights = [parameters.light(index) for index in range(len(parameters.geometry) + 1)]
+        self.shares = [model.visible(self.shape, self.dents, self.seen, light) for light in self.lights]
+        self.maps = [self._map(light, share) for light, share in zip(self.lights, self.shares, strict=True)]
+        self.gain = np.exp(data.basis @ parameters.shading) if parameters.shading.size else np.ones((len(data.level), 3))
+        self.linear = self._linear(self.maps)
+        self.level, self.steep = model.tone(self.linear, parameters.globals[6])
+        self.level = self.level + data.correction
+
+    def _map(self, light: Array, share: Array) -> Array:
+        """Exposed radiance for a unit flux, shape (N,)."""
+        specular, roughness = self.parameters.globals[4:6]
+        diffuse, glossy = model.light_maps(self.seen, light, roughness, share)
+        return EXPOSURE / (np.pi * light[5] * light[6]) * ((1 - specular) * ALBEDO * diffuse + specular * FLAKE * glossy)
+
+    def _linear(self, maps: list[Array]) -> Array:
+        return self.gain * (np.array(maps).T @ self.parameters.colours)
+
+    def sensor_columns(self) -> Array:
+        """Derivatives of the levels by the parameters' vector, shape (N, 3, K)."""
+        p, count = self.parameters, len(self.data.level)
+        columns = np.zeros((count, 3, p.vector.size))
+        for k, name in enumerate(GLOBALS):
+            step = STEPS.get(name, 1e-4)
+            if name == "camera.gamma":
+                moved = model.tone(self.linear, p.globals[6] + step)[0] + self.data.correction
+                columns[:, :, k] = (moved - self.level) / step
+                continue
+            values = p.globals.copy()
+            values[k] += step
+            other = replace(p, globals=values)
+            if name.startswith("coating"):
+                linear = self._with(other, self.seen, self.shares)
+            else:
+                linear = Evaluation(other, self.presses, self.data, self.solved, self.ball_mm).linear
+            columns[:, :, k] = self.steep * (linear - self.linear) / step
+        start = len(GLOBALS)
+        for index in range(len(p.geometry)):
+            for k, what in enumerate(GEOMETRY):
+                geometry = p.geometry.copy()
+                geometry[index, k] += 1e-4
+                light = replace(p, geometry=geometry).light(index)
+                hides = what not in ("turn_rad", "log_length")
+                share = model.visible(self.shape, self.dents, self.seen, light) if hides else self.shares[index]
+                change = (self._map(light, share) - self.maps[index]) / 1e-4
+                columns[:, :, start + index * len(GEOMETRY) + k] = self.steep * self.gain * np.outer(change, p.colours[index])
+        start += p.geometry.size
+        for index, values in enumerate(self.maps):
+            for c in range(3):
+                columns[:, c, start + 3 * index + c] = self.steep[:, c] * self.gain[:, c] * values
+        start += p.colours.size
+        for term in range(len(p.shading)):
+            for c in range(3):
+                columns[:, c, start + 3 * term + c] = self.steep[:, c] * self.linear[:, c] * self.data.basis[:, term]
+        return columns
+
+    def _with(self, other: Parameters, seen: model.Surface, shares: list[Array]) -> Array:
+        specular, roughness = other.globals[4:6]
+        maps = []
+        for light, share in zip(self.lights, shares, strict=True):
+            diffuse, glossy = model.light_maps(seen, light, roughness, share)
+            scale = EXPOSURE / (np.pi * light[5] * light[6])
+            maps.append(scale * ((1 - specular) * ALBEDO * diffuse + specular * FLAKE * glossy))
+        return self._linear(maps)
+
+    def press_columns(self) -> Array:
+        """Derivatives of the levels by place and depth of each pixel's own press, shape (N, 3, 3)."""
+        columns = np.zeros((len(self.data.level), 3, 3))
+        for k, step in enumerate(PRESS_STEP):
+            presses = self.presses.copy()
+            presses[:, k] += step
+            linear = Evaluation(self.parameters, presses, self.data, self.solved, self.ball_mm).linear
+            columns[:, :, k] = self.steep * (linear - self.linear) / step
+        return columns
+
+
+def fit(
+    start: Parameters,
+    presses: Array,
+    data: Data,
+    dents: Dents,
+    ball_mm: float,
+    *,
+    believed: Parameters | None = None,
+    press_sd: Array | None = None,
+    frozen: NDArray[np.bool_] | None = None,
+    iterations: int = 30,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fitted:
+    """Fits sensor and presses from a start.
+
+    Args:
+        believed: Centre of the priors (default: the start).
+        press_sd: Prior of each press's x, y, depth [mm], shape (P, 3), about `presses` (default: none).
+        frozen: Parameters of the vector that stay.
+    """
+    believed = believed or start
+    sd, low, high = believed.prior()
+    frozen = np.zeros(len(sd), bool) if frozen is None else frozen
+    sensor_count, press_count = len(sd), presses.size
+    centre = np.concatenate([believed.vector, presses.ravel()])
+    pull = np.concatenate([1 / sd**2, (1 / press_sd**2).ravel() if press_sd is not None else np.zeros(press_count)])
+    floor = np.concatenate([low, np.tile([-np.inf, -np.inf, SHALLOWEST], len(presses))])
+    ceiling = np.concatenate([high, np.tile([np.inf, np.inf, dents.deepest_mm], len(presses))])
+    free_always = np.concatenate([~frozen, np.ones(press_count, bool)])
+
+    def evaluate(vector: Array) -> Evaluation:
+        return Evaluation(start.with_vector(vector[:sensor_count]), vector[sensor_count:].reshape(-1, 3), data, dents, ball_mm)
+
+    counted = data.weight > 0
+    vector = np.clip(np.concatenate([start.vector, presses.ravel()]), floor, ceiling)
+    here = evaluate(vector)
+    residual = data.level - here.level
+    sigma = max(1.4826 * float(np.median(np.abs(residual[counted]))), 0.3)
+    damping, done = 1e-3, 0
+    hessian = np.eye(len(vector))
+    scores = np.zeros((0, len(vector)))
+    for done in range(1, iterations + 1):
+        sigma = max(1.4826 * float(np.median(np.abs(residual[counted]))), 0.3)
+        cost = _cost(residual, data.weight, sigma) + float(pull @ (vector - centre) ** 2)
+        robust = data.weight * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
+        hessian, gradient, scores = _normal(here, residual, robust, sensor_count, not frozen.all())
+        hessian += np.diag(pull)
+        gradient -= pull * (vector - centre)
+        if progress:
+            progress(done, iterations)
+        better = False
+        for _ in range(8):
+            # A parameter at a bound that wants to go on stays; one try with the others.
+            stuck = ((vector <= floor) & (gradient < 0)) | ((vector >= ceiling) & (gradient > 0)) | ~free_always
+            free = np.flatnonzero(~stuck)
+            damped = hessian[np.ix_(free, free)] + damping * np.diag(np.diag(hessian)[free] + 1e-12)
+            step = np.zeros_like(vector)
+            step[free] = np.linalg.solve(damped, gradient[free])
+            trial = np.clip(vector + step, floor, ceiling)
+            there = evaluate(trial)
+            new = data.level - there.level
+            trial_cost = _cost(new, data.weight, sigma) + float(pull @ (trial - centre) ** 2)
+            if trial_cost < cost:
+                gain = (cost - trial_cost) / cost
+                vector, here, residual, damping, better = trial, there, new, max(damping / 5, 1e-9), True
+                break
+            damping *= 6
+        if not better or gain < 1e-4:
+            break
+    free = np.flatnonzero(free_always)
+    inverse = np.linalg.pinv(hessian[np.ix_(free, free)])
+    middle = scores[:, free].T @ scores[:, free] + np.diag(pull[free])
+    covariance = np.zeros_like(hessian)
+    covariance[np.ix_(free, free)] = inverse @ middle @ inverse
+    rms = float(np.sqrt(np.average(residual[counted] ** 2, weights=data.weight[counted])))
+    return Fitted(here.parameters, here.presses, float(cost), rms, sigma, covariance, done)
+
+
+def _cost(residual: Array, weight: Array, sigma: float) -> float:
+    size = np.abs(residual) / sigma
+    return float((weight * np.where(size < HUBER, size**2, 2 * HUBER * size - HUBER**2)).sum())
+
+
+def _normal(here: Evaluation, residual: Array, weight: Array, sensor_count: int, sensor_moves: bool) -> tuple[Array, Array, Array]:
+    """JᵀWJ, JᵀWr and the gradient's share of each block, over sensor and presses."""
+    data, presses = here.data, here.presses
+    own = here.press_columns()
+    sensor = here.sensor_columns() if sensor_moves else np.zeros((len(residual), 3, sensor_count))
+    total = sensor_count + presses.size
+    hessian = np.zeros((total, total))
+    flat = sensor.reshape(-1, sensor_count)
+    weighted = flat * weight.reshape(-1, 1)
+    hessian[:sensor_count, :sensor_count] = flat.T @ weighted
+    scores = np.zeros((int(data.block.max()) + 1, total))
+    np.add.at(scores[:, :sensor_count], data.block, (sensor * (weight * residual)[..., None]).sum(axis=1))
+    for press in range(len(presses)):
+        some = np.flatnonzero(data.pixels.press == press)
+        if len(some) == 0:
+            continue
+        part = slice(sensor_count + 3 * press, sensor_count + 3 * press + 3)
+        local = own[some].reshape(-1, 3)
+        heavy = local * weight[some].reshape(-1, 1)
+        hessian[part, part] = local.T @ heavy
+        hessian[:sensor_count, part] = flat.reshape(-1, 3, sensor_count)[some].reshape(-1, sensor_count).T @ heavy
+        hessian[part, :sensor_count] = hessian[:sensor_count, part].T
+        np.add.at(scores[:, part], data.block[some], (own[some] * (weight * residual)[some][..., None]).sum(axis=1))
+    return hessian, scores.sum(axis=0), scores

@@ -1,0 +1,219 @@
+"""A picture worked out directly from the parameters, fast enough to be fitted: no inter-reflection, everything else as the renderer has it.
+
+    L_c(x) = Σ_l L_lc v_l ∫_A f_c(n, ω_l, ω_o) (n·ω_l)(n_l·−ω_l) / r² dA,      f_c = (1 − s) ρ_c/π + s F_c D G / (4 n·ω_l n·ω_o),
+
+with D and G of GGX (Walter et al. 2007, as in Mitsuba), the rectangles' integrals by Gauss' rule, and v_l the visible share of the light:
+the elevation of the dent's profile toward the light against the light's own height. Level = 255 · sRGB(exposure · shading · L)^γ.
+
+Colours enter linearly: `Maps` keeps for each light its diffuse and its glossy part for a unit radiance, so that derivatives by colour cost
+nothing. Left out: inter-reflection, grain, markers (masked), the window's own reflections; `calibrate.fit` corrects for what the renderer
+adds. Lengths in mm throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius
+from gelsim.optics.camera import solve_slope
+
+Array = NDArray[np.float64]
+
+ALONG, ACROSS = np.polynomial.legendre.leggauss(3), np.polynomial.legendre.leggauss(2)
+STEPS = np.array([0.12, 0.25, 0.45, 0.7, 1.0, 1.4, 1.9, 2.5, 3.3, 4.3])
+"""Distances of the march toward a light, in contact radii √(R' d)."""
+LEAST_AIR_MM = 0.5
+"""Between camera and window."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """Places in the pictures that are compared."""
+
+    place: Array
+    """From the picture's middle [px], x and y, shape (N, 2)."""
+    press: NDArray[np.int64]
+    """Which press each belongs to, −1 for the rest frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What the pixels see."""
+
+    point: Array
+    """[mm], shape (N, 3)."""
+    normal: Array
+    """Unit, into the gel."""
+    view: Array
+    """Unit, toward the camera."""
+    centre: Array
+    """First touch of the pixel's press, shape (N, 2)."""
+    depth: Array
+    """Of the pixel's press, 0 in the rest frame."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Camera and gel: what decides where a pixel looks."""
+
+    mm_per_px: float
+    distance_mm: float
+    """Of the pinhole from the plane z = 0."""
+    layers: tuple[tuple[float, float], ...]
+    """(thickness [mm], index) of window and gel."""
+    half_width_px: float
+    """Of the picture: where its field is exact."""
+    curvature: float
+    """Of the dome [1/mm]."""
+    ball_mm: float
+
+
+def rays(shape: Shape, place: Array) -> tuple[Array, Array]:
+    """Where rays of places in the picture meet z = 0 [mm], and their slopes in the gel, each of shape (N, 2), as in `optics.camera`."""
+    air = max(shape.distance_mm - sum(thickness for thickness, _ in shape.layers), LEAST_AIR_MM)
+    focal = shape.half_width_px / solve_slope(shape.half_width_px * shape.mm_per_px, air, shape.layers)
+    in_air = place / focal
+    squared = (in_air**2).sum(axis=1)
+    reach, bent = np.full(len(place), air), np.ones(len(place))
+    for thickness, index in shape.layers:
+        bent = 1 / np.sqrt(index**2 + (index**2 - 1) * squared)
+        reach = reach + thickness * bent
+    return in_air * reach[:, None], in_air * bent[:, None]
+
+
+def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> Surface:
+    """Where each pixel's ray meets the dented dome.
+
+    Args:
+        presses: Apex of the ball x, y [mm] and depth [mm] of each press, shape (P, 3).
+    """
+    start, slope = rays(shape, pixels.place)
+    touched = pixels.press >= 0
+    centre, depth = np.zeros_like(start), np.zeros(len(start))
+    if len(presses):
+        which = pixels.press[touched]
+        # First touch of a ball on a dome: nearer to the dome's top than the ball's apex.
+        centre[touched] = presses[which, :2] / (1 + shape.ball_mm * shape.curvature)
+        depth[touched] = np.clip(presses[which, 2], SHALLOWEST, dents.deepest_mm)
+    radius = effective_radius(shape.ball_mm, shape.curvature)
+    at = start.copy()
+    z, gradient = np.zeros(len(start)), np.zeros_like(start)
+    for _ in range(4):
+        z, gradient = _height(shape, dents, at, centre, depth, touched, radius)
+        at = start + slope * z[:, None]
+    point = np.column_stack([at, z])
+    normal = np.column_stack([gradient, -np.ones(len(z))])
+    normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
+    view = np.column_stack([-slope, -np.ones(len(z))])
+    view /= np.sqrt((view**2).sum(axis=1))[:, None]
+    return Surface(point, normal, view, centre, depth)
+
+
+def _dome(curvature: float, at: Array) -> tuple[Array, Array]:
+    """Height and gradient of the dome; the root is that of a sphere, 1 − κ²ρ² kept positive."""
+    root = np.sqrt(np.maximum(1 - curvature**2 * (at**2).sum(axis=-1), 0.05))
+    return -curvature * (at**2).sum(axis=-1) / (1 + root), -curvature * at / root[..., None]
+
+
+def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Array, touched: NDArray, radius: float):
+    z, gradient = _dome(shape.curvature, at)
+    away = at[touched] - centre[touched]
+    distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
+    dent, slope = dents.surface(distance, depth[touched], radius)
+    z[touched] += dent
+    gradient[touched] += away * (slope / distance)[:, None]
+    return z, gradient
+
+
+def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Array:
+    """Share of a light that the dent leaves visible from each point, shape (N,). Attached shadows are the cosine's affair."""
+    share = np.ones(len(seen.point))
+    some = np.flatnonzero(seen.depth > 0)
+    if len(some) == 0 or light[2] > seen.point[:, 2].min() or np.hypot(light[0], light[1]) < -light[2]:
+        return share
+    point, depth = seen.point[some], seen.depth[some]
+    radius = effective_radius(shape.ball_mm, shape.curvature)
+    toward = light[:2] - point[:, :2]
+    far = np.sqrt((toward**2).sum(axis=1))
+    toward /= far[:, None]
+    highest = np.full(len(some), -np.inf)
+    unit = np.sqrt(radius * depth)
+    x, y, z = np.ascontiguousarray(point.T)
+    across, down = np.ascontiguousarray(toward.T)
+    centre_x, centre_y = np.ascontiguousarray(seen.centre[some].T)
+    for step in STEPS:
+        reach = step * unit
+        at_x, at_y = x + across * reach, y + down * reach
+        squared = at_x**2 + at_y**2
+        dome = -shape.curvature * squared / (1 + np.sqrt(np.maximum(1 - shape.curvature**2 * squared, 0.05)))
+        dent = dents.height_at(np.sqrt((at_x - centre_x) ** 2 + (at_y - centre_y) ** 2), depth, radius)
+        np.maximum(highest, (z - dome - dent) / reach, out=highest)
+    # Half of the light's height as seen from here, in slope.
+    half = np.maximum(0.5 * light[6] * np.sqrt(max(1 - facing(light)[2] ** 2, 0.01)) / far, 0.02)
+    share[some] = np.clip(((point[:, 2] - light[2]) / far - highest) / (2 * half) + 0.5, 0, 1)
+    return share
+
+
+def facing(light: Array) -> Array:
+    """Unit normal of a light's face."""
+    return np.array([np.cos(light[3]) * np.cos(light[4]), np.sin(light[3]) * np.cos(light[4]), np.sin(light[4])])
+
+
+def light_maps(seen: Surface, light: Array, roughness: float, share: Array) -> tuple[Array, Array]:
+    """Diffuse and glossy radiance under one light of radiance 1, for an albedo and a flake share of 1, each shape (N,).
+
+    Args:
+        light: x, y, z [mm], azimuth and elevation of its face [rad], size along and across [mm].
+        share: Visible share.
+    """
+    front = facing(light)
+    along = np.cross([0.0, 0.0, 1.0], front)
+    along = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else np.array([1.0, 0.0, 0.0])
+    up = np.cross(front, along)
+    diffuse, glossy = np.zeros(len(share)), np.zeros(len(share))
+    px, py, pz = np.ascontiguousarray(seen.point.T)
+    nx, ny, nz = np.ascontiguousarray(seen.normal.T)
+    vx, vy, vz = np.ascontiguousarray(seen.view.T)
+    out = np.maximum(nx * vx + ny * vy + nz * vz, 1e-3)
+    alpha2 = roughness**2
+    mask_out = _masking(out, alpha2)
+    for s, weight_s in zip(*ALONG, strict=True):
+        for t, weight_t in zip(*ACROSS, strict=True):
+            source = light[:3] + 0.5 * s * light[5] * along + 0.5 * t * light[6] * up
+            x, y, z = source[0] - px, source[1] - py, source[2] - pz
+            inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+            x, y, z = x * inverse, y * inverse, z * inverse
+            into = np.maximum(x * nx + y * ny + z * nz, 0.0)
+            leaving = np.maximum(-(x * front[0] + y * front[1] + z * front[2]), 0.0)
+            weight = (weight_s * weight_t / 4 * light[5] * light[6]) * leaving * inverse**2
+            diffuse += weight * into
+            hx, hy, hz = x + vx, y + vy, z + vz
+            tilt = (hx * nx + hy * ny + hz * nz) ** 2 / (hx * hx + hy * hy + hz * hz)
+            spread = alpha2 / (np.pi * (tilt * (alpha2 - 1) + 1) ** 2)
+            glossy += weight * (into > 0) * spread * _masking(np.maximum(into, 1e-3), alpha2) * mask_out / (4 * out)
+    return diffuse * share / np.pi, glossy * share
+
+
+def _masking(cosine: Array, alpha2: float) -> Array:
+    """Smith's G1 of GGX."""
+    return 2 / (1 + np.sqrt(1 + alpha2 * (1 / cosine**2 - 1)))
+
+
+def tone(linear: Array, gamma: float) -> tuple[Array, Array]:
+    """Level (0 … 255, clipped) of a linear value, and its derivative."""
+    inside = (linear > 0) & (linear < 1)
+    value = np.clip(linear, 1e-9, 1.0)
+    low = value <= 0.0031308
+    srgb = np.where(low, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    steep = np.where(low, 12.92, 1.055 / 2.4 * value ** (1 / 2.4 - 1))
+    level = 255.0 * srgb**gamma
+    return level, np.where(inside, level * gamma / srgb * steep, 0.0)
+
+
+def untone(level: Array, gamma: float) -> Array:
+    """Linear value of a level, the inverse of `tone`."""
+    srgb = np.clip(level / 255.0, 0, 1) ** (1 / gamma)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

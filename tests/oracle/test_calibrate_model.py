@@ -1,0 +1,128 @@
+"""The fit's own picture against the renderer's, and its derivatives against central differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelsim.calibrate import drawing, model
+from gelsim.calibrate.dent import Dents, effective_radius, solve_dents
+from gelsim.calibrate.fit import Data, Evaluation
+from gelsim.calibrate.parameters import Parameters, curvature_of, dome_of, empty_scene, to_scene
+from gelsim.calibrate.start import shading_basis
+from gelsim.optics.camera import project
+from gelsim.scene import Camera, Gel, Lights, Render
+
+BALL_MM, CURVATURE, SIZE = 2.0, 1 / 40, (48, 36)
+PRESSES = np.array([[0.9, -0.6, 0.9], [-3.0, 1.5, 0.6]])
+
+
+def parameters() -> Parameters:
+    """Three lights beside a picture of 12 x 9 mm, and a veil."""
+    half = 7.5
+    geometry = [
+        [1.6 * half, azimuth, -0.7 * half, 0.1, 0.3, np.log(0.6 * half), np.log(0.2 * half)] for azimuth in np.radians([10.0, 130.0, 250.0])
+    ]
+    colours = np.array([[9.0, 0.5, 0.3], [0.4, 8.0, 0.6], [0.3, 0.7, 9.0], [900.0, 800.0, 900.0]])
+    shading = np.zeros((9, 3))
+    shading[0], shading[4, 1] = (0.2, -0.1, 0.0), 0.15
+    return Parameters(
+        np.array([0.25, 30.0, CURVATURE, 2.4, 0.3, 0.45, 1.1]), np.array(geometry), colours, shading, half, SIZE[0] / 2, (4.0, 1.49, 1.41)
+    )
+
+
+@pytest.fixture(scope="module")
+def dents() -> Dents:
+    return solve_dents(Gel(size_mm=(20.0, 20.0)), effective_radius(BALL_MM, CURVATURE), True)
+
+
+def pixels_of(press: int) -> Data:
+    rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
+    place = np.column_stack([columns.ravel() + 0.5 - SIZE[0] / 2, rows.ravel() + 0.5 - SIZE[1] / 2])
+    basis = shading_basis(2 * place[:, 0] / SIZE[0], 2 * place[:, 1] / SIZE[1], 3)
+    zero = np.zeros((len(place), 3))
+    return Data(model.Pixels(place, np.full(len(place), press)), zero, zero + 1, np.zeros(len(place), int), basis, zero)
+
+
+def start_scene():
+    return empty_scene(dome_of(Gel(size_mm=(20.0, 20.0)), CURVATURE), Camera(), Lights())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("press", [-1, 0, 1])
+def test_model_is_the_renderer_in_direct_mode(dents, press):
+    chosen = parameters()
+    scene = to_scene(chosen, start_scene(), SIZE)
+    assert curvature_of(scene.gel) == pytest.approx(CURVATURE, rel=1e-6)
+    scene = scene.replace(render=Render(mode="direct", spp=576, resolution=SIZE))
+    rest, drawn = drawing.draw(scene, dents.at(2.4), BALL_MM, list(PRESSES))
+    wanted = (rest if press < 0 else drawn[press]).astype(float)
+    level = Evaluation(chosen, PRESSES, pixels_of(press), dents, BALL_MM).level.reshape(wanted.shape)
+    error = level - wanted
+    # 8-bit rounding gives 0.3 levels; 144 paths a light leave about 1 % of the radiance, 0.8 levels; the light by six points 0.5 %.
+    assert np.median(np.abs(error)) < 1.0
+    # The dent's shadow is a soft step here and a penumbra there, and a pixel at its rim sees one slope here and an average there: 2 levels.
+    assert np.sqrt((error**2).mean()) < 2.5
+    # A light 5 % of its distance farther out must be noticed.
+    geometry = chosen.geometry.copy()
+    geometry[1, 0] *= 1.05
+    wrong = Evaluation(replace(chosen, geometry=geometry), PRESSES, pixels_of(press), dents, BALL_MM).level.reshape(wanted.shape)
+    assert np.sqrt(((wrong - wanted) ** 2).mean()) > 1.2 * np.sqrt((error**2).mean())
+
+
+def agree(column: np.ndarray, central: np.ndarray) -> bool:
+    """Within 1 %, and a hundredth of the typical size, in 98 % of the values: where a pixel lies on a kink (the rim of a shadow, a step of
+    the tables, a flank that turns from the light) the one-sided difference is another number than the central one, and neither is wrong."""
+    return float((np.abs(column - central) <= 0.01 * np.abs(central) + 0.01 * np.sqrt((central**2).mean())).mean()) > 0.98
+
+
+def test_derivatives_are_central_differences(dents):
+    chosen, data = parameters(), pixels_of(0)
+    # A second thickness, so that there is something to interpolate.
+    family = dents.families[0]
+    dents = Dents(np.array([2.0, 3.0]), (family, replace(family, height=1.1 * family.height, slope=1.1 * family.slope)))
+    here = Evaluation(chosen, PRESSES, data, dents, BALL_MM)
+    columns, own = here.sensor_columns(), here.press_columns()
+    vector = chosen.vector
+    for k in range(len(vector)):
+        step = np.zeros_like(vector)
+        step[k] = 1e-4 * max(abs(vector[k]), 0.1)
+        above, below = (
+            Evaluation(chosen.with_vector(vector + sign * step), PRESSES, data, dents, BALL_MM).level.ravel() for sign in (1, -1)
+        )
+        central = (above - below) / (2 * step[k])
+        assert np.linalg.norm(central) > 0, chosen.names[k]
+        assert agree(columns[:, :, k].ravel(), central), chosen.names[k]
+        assert not agree(1.03 * columns[:, :, k].ravel(), central), chosen.names[k]
+    for k in range(3):
+        step = np.zeros_like(PRESSES)
+        step[0, k] = 1e-3
+        above, below = (Evaluation(chosen, PRESSES + sign * step, data, dents, BALL_MM).level.ravel() for sign in (1, -1))
+        central = (above - below) / 2e-3
+        assert agree(own[:, :, k].ravel(), central)
+        # Planted: the derivative by another quantity.
+        assert not agree(own[:, :, (k + 1) % 3].ravel(), central)
+
+
+def test_the_dent_conforms_to_the_ball(dents):
+    """Where they touch, dome and dent together are the ball: z = -depth + ρ²/2R to second order, here on the dome's top."""
+    depth, shape = 0.5, model.Shape(0.05, 30.0, ((4.0, 1.49), (2.4, 1.41)), 100.0, CURVATURE, BALL_MM)
+    family = dents.at(2.4)
+    rho = np.linspace(0.02, 0.6, 30)
+    dent, _ = family.surface(rho, np.full(30, depth), effective_radius(BALL_MM, CURVATURE))
+    dome, _ = model._dome(shape.curvature, np.column_stack([rho, np.zeros(30)]))
+    ball = -depth + BALL_MM - np.sqrt(BALL_MM**2 - rho**2)
+    # The family presses a ball of R' = 1.905 mm into a plane; to fourth order the two differ by ρ⁴ (1/R'³ - 1/R³) / 8 = 0.3 µm at 0.6 mm.
+    # The rest is the contact's own overlap and the tables' steps: 2 µm.
+    assert np.abs(dent + dome - ball).max() < 2.5e-3
+
+
+def test_rays_are_the_camera_s(dents):
+    chosen = parameters()
+    scene = to_scene(chosen, start_scene(), SIZE)
+    start, slope = model.rays(chosen.shape(BALL_MM), pixels_of(-1).pixels.place)
+    for height in (0.0, -1.0):
+        points = np.column_stack([start + slope * height, np.full(len(start), height)])
+        assert project(scene, points * 1e-3) == pytest.approx(pixels_of(-1).pixels.place + np.array(SIZE) / 2, abs=1e-6)

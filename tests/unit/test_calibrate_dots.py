@@ -1,0 +1,36 @@
+"""Markers in a picture are found, and what is none is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gelsim.calibrate.dots import dark_pixels, marker_grid, with_margin
+
+
+def picture(pitch: float, radius: float, tilt_deg: float) -> np.ndarray:
+    """Black discs on a grey slope, 160 x 120, anti-aliased over a pixel."""
+    row, column = np.mgrid[:120, :160] + 0.5
+    turn = np.exp(-1j * np.radians(tilt_deg))
+    place = ((column - 80) + 1j * (row - 60)) * turn
+    away = np.hypot(*(np.remainder([place.real, place.imag], pitch) - pitch / 2))
+    cover = np.clip(radius - away + 0.5, 0, 1)
+    return np.repeat(((90 + 0.3 * column) * (1 - 0.9 * cover))[..., None], 3, axis=2)
+
+
+def test_a_grid_is_measured():
+    grid = marker_grid(picture(13.0, 3.0, 4.0), 0.1)
+    # Centres of such discs are good to some hundredths of a pixel; a disc's area loses its dimmest rim, up to half a pixel of radius.
+    assert grid and grid.pitch_mm == pytest.approx(1.3, rel=0.01) and grid.tilt_deg == pytest.approx(4.0, abs=0.5)
+    assert grid.radius_mm == pytest.approx(0.3, abs=0.05)
+
+
+def test_margin_covers_the_rims_and_a_plain_picture_has_none():
+    marked, plain = picture(13.0, 3.0, 4.0), picture(13.0, 0.0, 4.0) * 0 + 100.0
+    masked = with_margin(dark_pixels(np.array([marked, plain])))
+    assert not masked[1].any() and marker_grid(plain, 0.1) is None
+    clean = 90 + 0.3 * (np.mgrid[:120, :160][1] + 0.5)
+    dimmed = np.where(masked[0], 0.0, np.abs(marked[..., 0] - clean) / clean)
+    # A marker that the picture's border cuts down to a rim darkens by less than the threshold, a fifth; elsewhere the margin covers all.
+    assert dimmed.max() < 0.2 and dimmed[4:-4, 4:-4].max() == 0
+    assert np.where(dark_pixels(marked[None])[0], 0.0, np.abs(marked[..., 0] - clean))[4:-4, 4:-4].max() > 0, "the margin is needed"

@@ -1,0 +1,110 @@
+"""What `gelsim calibrate` refuses: one line each, nothing written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gelsim.calibrate.photos import read_photos
+from gelsim.cli import main
+from gelsim.errors import SceneError
+from gelsim.outputs import write_radiance
+
+GOOD = 'ball_radius_mm = 2.0\nno_contact = "rest.png"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    path = tmp_path / "photos"
+    path.mkdir()
+    for index, name in enumerate(("rest.png", "a.png", "b.jpg")):
+        Image.fromarray(np.full((48, 64, 3), 100 + 10 * index, np.uint8)).save(path / name)
+    (path / "photos.toml").write_text(GOOD)
+    return path
+
+
+def test_reads_pictures_with_and_without_a_table(folder):
+    photos = read_photos(folder)
+    assert photos.files == ["a.png", "b.jpg"] and photos.size == (64, 48) and not photos.test.any()
+    assert photos.pictures[0, 0, 0].tolist() == [110, 110, 110] and np.isnan(photos.hints).all()
+    (folder / "presses.csv").write_text("file,col_px,row_px,depth_mm,split\nb.jpg,,,0.4,train\na.png,3,4,,test\n")
+    (folder / "photos.toml").write_text(GOOD + 'mm_per_px = 0.1\n[gel]\nprofile = "flat"\nthickness_mm = 3.0\n')
+    photos = read_photos(folder)
+    assert photos.files == ["b.jpg", "a.png"] and photos.test.tolist() == [False, True] and photos.mm_per_px == 0.1
+    assert photos.hints[0, 2] == 0.4 and photos.hints[1, :2].tolist() == [3, 4] and photos.gel and photos.gel.thickness_mm == 3.0
+
+
+def test_linear_pictures_go_on_the_srgb_scale(folder):
+    for name in ("rest.exr", "c.exr"):
+        write_radiance(folder / name, np.full((48, 64, 3), 0.18, np.float32))
+    (folder / "photos.toml").write_text(GOOD.replace("rest.png", "rest.exr"))
+    (folder / "presses.csv").write_text("file\nc.exr\n")
+    # 18 % grey is 117.6 of 255 on the sRGB curve.
+    assert read_photos(folder).no_contact == pytest.approx(117.6, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("photos.toml", None, "photos.toml: cannot be read"),
+        ("photos.toml", "ball_radius_mm = ", "is not TOML"),
+        ("photos.toml", 'no_contact = "rest.png"\n', "ball_radius_mm is missing"),
+        ("photos.toml", "ball_radius_mm = 2.0\n", "no_contact is missing"),
+        ("photos.toml", GOOD.replace("2.0", "0.0"), "ball_radius_mm = 0 mm: allowed is 0.5 … 50 mm"),
+        ("photos.toml", GOOD.replace("2.0", "nan"), "finite"),
+        ("photos.toml", GOOD.replace("2.0", '"big"'), "expected a number"),
+        ("photos.toml", GOOD + "mm_per_pixel = 0.1\n", "unknown key 'mm_per_pixel'; did you mean 'mm_per_px'"),
+        ("photos.toml", GOOD + "mm_per_px = 0.0\n", "mm_per_px = 0 mm/px"),
+        ("photos.toml", GOOD + "[gel]\nthickness_mm = -1.0\n", "gel.thickness_mm = -1 mm"),
+        ("photos.toml", GOOD.replace("rest.png", "none.png"), "none.png: is not a picture"),
+        ("a.png", "not a picture", "a.png: is not a picture that can be read"),
+        ("presses.csv", "file,depth\na.png,1\n", "unknown column 'depth'; did you mean 'depth_mm'"),
+        ("presses.csv", "split\ntest\n", "the column file is missing"),
+        ("presses.csv", "file,depth_mm\na.png,deep\n", "line 2: depth_mm = 'deep' is not a number"),
+        ("presses.csv", "file,depth_mm\na.png,-0.5\n", "depth_mm = -0.5 mm: allowed is more than 0"),
+        ("presses.csv", "file,col_px\na.png,inf\n", "col_px = inf is not finite"),
+        ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
+        ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
+        ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
+        ("presses.csv", "file\na.png\na.png\n", "'a.png' comes twice"),
+        ("presses.csv", "file\nc.png\n", "c.png: is not a picture"),
+    ],
+)
+def test_bad_folders_are_refused_in_one_line(folder, file, text, message):
+    (folder / file).unlink(missing_ok=True)
+    if text is not None:
+        (folder / file).write_text(text)
+    with pytest.raises(SceneError) as caught:
+        read_photos(folder)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("size", "message"), [((60, 48), "is 60 x 48 px, but no_contact is 64 x 48 px"), ((8, 48), "allowed are 32 … 4096")]
+)
+def test_pictures_of_other_sizes_are_refused(folder, size, message):
+    Image.fromarray(np.zeros((size[1], size[0], 3), np.uint8)).save(folder / "a.png")
+    with pytest.raises(SceneError, match=message):
+        read_photos(folder)
+
+
+def test_the_command_writes_nothing_on_bad_input(folder, tmp_path, capsys):
+    (folder / "photos.toml").write_text(GOOD.replace("2.0", "0.0"))
+    assert main(["calibrate", "--photos", str(folder), "--out", str(tmp_path / "out" / "sensor.toml")]) == 2
+    assert "ball_radius_mm = 0 mm" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert main(["calibrate", "--photos", str(folder), "--out", str(tmp_path / "sensor.png")]) == 2
+    assert "ends in .toml" in capsys.readouterr().err
+    (tmp_path / "report.json").write_text("{}")
+    assert main(["calibrate", "--photos", str(folder), "--out", str(tmp_path / "sensor.toml")]) == 2
+    assert "report.json exists; give --force" in capsys.readouterr().err
+
+
+def test_photographs_without_any_contact_are_refused(folder, tmp_path, capsys):
+    for name in ("a.png", "b.jpg"):
+        Image.open(folder / "rest.png").save(folder / name)
+    (folder / "b.jpg").unlink()
+    assert main(["calibrate", "--photos", str(folder), "--out", str(tmp_path / "out" / "sensor.toml")]) == 2
+    assert "no contact can be seen in a.png" in capsys.readouterr().err and not (tmp_path / "out").exists()
