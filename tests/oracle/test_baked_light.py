@@ -44,7 +44,7 @@ def test_bake_is_near_path_and_a_wrong_one_is_not(monkeypatch):
     field = bake.measure(scene, variant)
     assert field.errors["psnr_worst_db"] >= PSNR_DB and field.errors["delta_e_mean"] <= DELTA_E
     assert set(field.light_of) == {-1, 0, 1, 2}  # every light has its components, and what no light's horizon shadows has too
-    # Planted, each told by the same comparison: no shadows (another light's components), no inter-reflection, a light turned by 2 degrees,
+    # Planted, each told by the same comparison: no shadows (another light's components), no inter-reflection, a light turned by 5 degrees,
     # a coat 2 % brighter.
     plain = scene.replace(markers=replace(scene.markers, layout="none"), coating=replace(scene.coating, grain=0.0))
 
@@ -55,9 +55,11 @@ def test_bake_is_near_path_and_a_wrong_one_is_not(monkeypatch):
     turned = replace(field, light_of=np.where(field.light_of >= 0, (field.light_of + 1) % 3, -1).astype(np.int32))
     assert error(plain, turned)["psnr_worst_db"] < PSNR_DB
     dark = replace(field, gains=np.zeros(3, np.float32), veil=np.zeros_like(field.veil))
-    # found: 1.3 times; the factor of 1.5 that stood here was a guess
-    assert error(plain, dark)["levels_mean"] > 1.15 * right
-    other = small_sensor(azimuth_deg=2.0)
+    # found: 1.57 times
+    assert error(plain, dark)["levels_mean"] > 1.3 * right
+    # Turning one of three lights by 2 degrees was found to raise the error from 0.521 to 0.678 levels: its own share is √(0.678² - 0.521²) = 0.43, as it
+    # adds like something independent. In proportion 5 degrees are 1.08, and √(1.08² + 0.521²) is 2.3 times the bake's error (found: 2.06).
+    other = small_sensor(azimuth_deg=5.0)
     assert error(other.replace(markers=plain.markers, coating=plain.coating), field)["levels_mean"] > 1.5 * right
     # 2 % of the light is 0.02 / 2.2 of a level of 110.
     bright = replace(field, colours=field.colours * np.float32(1.02))
