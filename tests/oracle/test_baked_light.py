@@ -57,8 +57,9 @@ def test_bake_is_near_path_and_a_wrong_one_is_not(monkeypatch):
     dark = replace(field, gains=np.zeros(3, np.float32), veil=np.zeros_like(field.veil))
     # found: 1.57 times
     assert error(plain, dark)["levels_mean"] > 1.3 * right
-    # Turning one of three lights by 2 degrees was found to raise the error from 0.521 to 0.678 levels: its own share is √(0.678² - 0.521²) = 0.43, as it
-    # adds like something independent. In proportion 5 degrees are 1.08, and √(1.08² + 0.521²) is 2.3 times the bake's error (found: 2.06).
+    # Turning one of three lights by 2 degrees was found to raise the error from 0.521 to 0.678 levels: its own share is
+    # √(0.678² - 0.521²) = 0.43, as it adds like something independent. In proportion 5 degrees are 1.08, and √(1.08² + 0.521²) is 2.3 times
+    # the bake's error (found: 2.06).
     other = small_sensor(azimuth_deg=5.0)
     assert error(other.replace(markers=plain.markers, coating=plain.coating), field)["levels_mean"] > 1.5 * right
     # 2 % of the light is 0.02 / 2.2 of a level of 110.
