@@ -13,14 +13,16 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gelsim.dataset import load_dataset
     from gelsim.errors import GelsimError, SceneError, SolveError
     from gelsim.pipeline import press, press_batch, press_sensitivity, render, simulate
-    from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
+    from gelsim.results import Deformation, Episode, Frame, Membrane, PressSensitivity
     from gelsim.scene import Scene
     from gelsim.scene_file import load_scene
 
 _HOMES = {
     "Deformation": "gelsim.results",
+    "Episode": "gelsim.results",
     "Frame": "gelsim.results",
     "GelsimError": "gelsim.errors",
     "Membrane": "gelsim.results",
@@ -28,6 +30,7 @@ _HOMES = {
     "Scene": "gelsim.scene",
     "SceneError": "gelsim.errors",
     "SolveError": "gelsim.errors",
+    "load_dataset": "gelsim.dataset",
     "load_scene": "gelsim.scene_file",
     "press": "gelsim.pipeline",
     "press_batch": "gelsim.pipeline",
@@ -38,6 +41,7 @@ _HOMES = {
 
 __all__ = [
     "Deformation",
+    "Episode",
     "Frame",
     "GelsimError",
     "Membrane",
@@ -45,6 +49,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "SolveError",
+    "load_dataset",
     "load_scene",
     "press",
     "press_batch",

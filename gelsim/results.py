@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SolveStatus
+from gelsim.errors import DatasetError, SolveStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +102,45 @@ class Frame:
     """z of the membrane seen by each pixel [m], shape (H, W); NaN where the camera sees no gel."""
     marker_pixels: NDArray[np.float64]
     """Projected marker centres (column, row) [px], shape (K, 2); NaN outside the picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One press as a learner sees it, simulated or recorded. What is unknown is NaN; the schema is in docs/datasets.md."""
+
+    frames: NDArray[np.uint8]
+    """8-bit sRGB, shape (N, H, W, 3)."""
+    background: NDArray[np.uint8]
+    """The no-contact frame, shape (H, W, 3)."""
+    time: NDArray[np.float64]
+    """From the first frame [s], shape (N,)."""
+    approach: NDArray[np.float64]
+    """Travel of the object's base toward the window [m], shape (N,)."""
+    force: NDArray[np.float64]
+    """On the gel by the object [N], shape (N, 3)."""
+    marker_pixels: NDArray[np.float64]
+    """(column, row) of the marker centres [px], shape (N, K, 2); NaN outside the picture; K may be 0."""
+    row: dict[str, Any]
+    """The episode's line of meta/episodes.jsonl."""
+    noise: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
+    """Of the camera by colour, to be drawn while training, shape (3, 3): noise after the tone curve [levels of 255], electrons of a white
+    pixel (0: none), noise before the tone curve [share of white], as camera.noise_sd, full_well and read_noise of a scene."""
+
+    def __post_init__(self) -> None:
+        count = len(self.frames)
+        shapes = {
+            "frames": (self.frames.shape, (count, *self.background.shape)),
+            "background": (self.background.shape[2:], (3,)),
+            "time": (self.time.shape, (count,)),
+            "approach": (self.approach.shape, (count,)),
+            "force": (self.force.shape, (count, 3)),
+            "marker_pixels": (self.marker_pixels.shape, (count, *self.marker_pixels.shape[1:2], 2)),
+            "noise": (self.noise.shape, (3, 3)),
+        }
+        for name, (found, wanted) in shapes.items():
+            if found != wanted:
+                raise DatasetError(f"episode: {name} has shape {found}, {wanted} is wanted")
+        if self.frames.dtype != np.uint8 or self.background.dtype != np.uint8:
+            raise DatasetError(f"episode: frames are {self.frames.dtype} and background {self.background.dtype}, uint8 is wanted")
+        if count == 0:
+            raise DatasetError("episode: no frames")

@@ -1,0 +1,199 @@
+"""The dataset on disk: what is written is read again, and what is damaged or hostile is one clear error."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import subprocess
+import sys
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gelsim import dataset
+from gelsim.dataset import Survey, episode_file, load_dataset, read_episode, survey, write_episode, write_meta, write_tar
+from gelsim.errors import DatasetError
+from gelsim.results import Episode
+
+
+def make(index: int = 0, count: int = 3, **fields: Any) -> Episode:
+    rng = np.random.default_rng(index)
+    row = {
+        "index": index, "object": f"ball-{index}", "group": 1, "shape": "hemisphere", "radius_mm": 5.0, "shore_00": 30.0, "rigid": False,
+        "motion": "human", "domain": "sim", "frames": count, "peak_force_n": 4.2, "mechanics": f"m{index}", "sensor": "fingertip2017",
+        "file": episode_file(index),
+    }  # fmt: skip
+    pictures = rng.integers(0, 256, (count + 1, 12, 16, 3), np.uint8)
+    return Episode(
+        pictures[1:], pictures[0], np.arange(count) / 30, np.full(count, np.nan), np.full((count, 3), np.nan),
+        rng.uniform(0, 12, (count, 2, 2)), row | fields, noise=rng.uniform(0, 1, (3, 3)),
+    )  # fmt: skip
+
+
+def store(folder: Path, count: int = 3) -> Path:
+    for index in range(count):
+        write_episode(folder, make(index), {"scene.toml": b"seed = 0\n"})
+    write_meta(folder, {"domain": "sim", "fps": 30}, survey(folder), [], {"train": [0, 2], "novel_shape": [1]})
+    return folder
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    data = load_dataset(store(tmp_path))
+    assert len(data) == 3 and data.splits == {"train": [0, 2], "novel_shape": [1]} and data.info["schema"] == 1
+    for index, read in enumerate(data):
+        made = make(index)
+        assert read.row == made.row == data.rows[index]
+        for name in ("frames", "background", "time", "approach", "force", "marker_pixels", "noise"):
+            np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+    assert data.member(0, "scene.toml") == b"seed = 0\n"
+
+
+def test_statistics_are_those_of_the_train_split(tmp_path: Path) -> None:
+    data = load_dataset(store(tmp_path))
+    frames = np.concatenate([make(i).frames for i in (0, 2)]).reshape(-1, 3).astype(float)
+    change = np.concatenate([make(i).frames.astype(float) - make(i).background for i in (0, 2)]).reshape(-1, 3)
+    # Sums of whole numbers are exact; the root of a difference of float64 keeps 1e-12.
+    np.testing.assert_allclose(data.stats["mean"], frames.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(data.stats["std"], frames.std(axis=0), rtol=1e-10)
+    np.testing.assert_allclose(data.stats["change_std"], change.std(axis=0), rtol=1e-10)
+
+
+def test_bytes_depend_on_the_episode_alone(tmp_path: Path) -> None:
+    one, other = (write_episode(tmp_path / name, make(7)).read_bytes() for name in "ab")
+    assert one == other
+    changed = make(7)
+    changed.frames[0, 0, 0, 0] ^= 1
+    assert write_episode(tmp_path / "c", changed).read_bytes() != one
+
+
+def test_reading_needs_no_simulator(tmp_path: Path) -> None:
+    store(tmp_path)
+    code = (
+        "import sys, gelsim; d = gelsim.load_dataset(sys.argv[1]); e = d.read(1); assert isinstance(e, gelsim.Episode);"
+        "print([m for m in ('warp', 'mitsuba', 'drjit', 'pytetwild', 'torch', 'scipy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_killed_writer_leaves_nothing_half(tmp_path: Path) -> None:
+    store(tmp_path)
+    partial = tmp_path / "episodes/00000/.000003.tar-1.partial"
+    partial.write_bytes(b"half")
+    assert [row["index"] for row in survey(tmp_path).rows] == [0, 1, 2] and not partial.exists()
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"motion": "alien"}, "allowed are human, robot"),
+        ({"file": "../../etc/passwd"}, "lies in 'episodes"),
+        ({"group": True}, "group = True"),
+        ({"radius_mm": "5"}, "radius_mm"),
+        ({"frames": 4}, "its row says 4 frames"),
+    ],
+)
+def test_wrong_rows_are_refused(tmp_path: Path, fields: dict[str, Any], said: str) -> None:
+    with pytest.raises(DatasetError, match=said):
+        write_episode(tmp_path, make(**fields))
+    assert not list(tmp_path.rglob("*.tar"))
+
+
+def test_rows_from_strangers_are_checked(tmp_path: Path) -> None:
+    store(tmp_path)
+    path = tmp_path / "meta/episodes.jsonl"
+    lines = path.read_text().splitlines()
+    row = json.loads(lines[1])
+    for changed, said in (
+        (row | {"file": "/etc/passwd"}, "line 2: file"),
+        ({k: v for k, v in row.items() if k != "shape"}, "line 2: shape is missing"),
+        (row | {"index": 0, "file": episode_file(0)}, "an index occurs twice"),
+    ):
+        path.write_text("\n".join([lines[0], json.dumps(changed), lines[2]]) + "\n")
+        with pytest.raises(DatasetError, match=said):
+            load_dataset(tmp_path)
+    path.write_text("[1")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        load_dataset(tmp_path)
+
+
+def rewritten(path: Path, name: str, content: bytes) -> None:
+    with tarfile.open(path) as tar:
+        files = {member.name: tar.extractfile(member).read() for member in tar}  # type: ignore[union-attr]
+    write_tar(path, files | {name: content})
+
+
+def test_damaged_and_hostile_episodes_are_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_episode(tmp_path, make())
+    whole = path.read_bytes()
+
+    def refused(said: str) -> None:
+        with pytest.raises(DatasetError, match=said) as error:
+            read_episode(path)
+        assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+    class Evil:
+        def __reduce__(self) -> Any:
+            return (pytest.fail, ("unpickled",))
+
+    for content in (np.array([Evil()], object), {"time": 1}):
+        buffer = io.BytesIO()
+        np.savez(buffer, time=content) if isinstance(content, np.ndarray) else buffer.write(pickle.dumps(content))
+        rewritten(path, "labels.npz", buffer.getvalue())
+        refused("damaged")
+        path.write_bytes(whole)
+    rewritten(path, "frames/0001.png", b"no picture")
+    refused("damaged")
+    path.write_bytes(whole)
+    rewritten(path, "frames/0001.png", dataset.png(np.zeros((2, 2, 3), np.uint8)))
+    refused("not of one size")
+    path.write_bytes(whole[: len(whole) // 2])
+    refused("damaged|missing")
+    path.write_bytes(whole)
+    monkeypatch.setattr(dataset, "MOST_PIXELS", 100)
+    refused("a picture of 16 × 12 pixels")
+    monkeypatch.undo()
+    monkeypatch.setattr(dataset, "LARGEST_FILE", 100)
+    refused("bytes; allowed")
+    monkeypatch.undo()
+    with tarfile.open(path, "w") as tar:
+        link = tarfile.TarInfo("frames/0000.png")
+        link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        tar.addfile(link)
+    refused("row.json is missing")
+    path.unlink()
+    refused("cannot be read")
+
+
+def test_what_is_no_dataset_says_so(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="is no dataset"):
+        load_dataset(tmp_path)
+    store(tmp_path)
+    splits = tmp_path / "meta/splits.json"
+    splits.write_text('{"train": [99]}')
+    with pytest.raises(DatasetError, match="'train' names an episode that is not there"):
+        load_dataset(tmp_path)
+    info = tmp_path / "meta/info.json"
+    info.write_text('{"schema": 99}')
+    with pytest.raises(DatasetError, match="its schema is 99"):
+        load_dataset(tmp_path)
+
+
+def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "episodes").write_text("a file where a folder is wanted")
+    with pytest.raises(DatasetError, match="000000.tar: cannot be written"):
+        write_episode(tmp_path, make())
+    with pytest.raises(DatasetError, match="cannot be written"):
+        write_meta(tmp_path / "episodes", {}, Survey([], {}), [], {})
+
+
+def test_episodes_of_wrong_shapes_are_refused() -> None:
+    with pytest.raises(DatasetError, match="force has shape"):
+        replace(make(), force=np.zeros((2, 3)))
+    with pytest.raises(DatasetError, match="uint8 is wanted"):
+        replace(make(), frames=make().frames.astype(float))
