@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_lightfield import linear_field, linear_value
+from test_optics import imaged_centroids
 
 from gelsim.errors import RenderError
 from gelsim.lightfield import LightField
@@ -189,19 +190,6 @@ def test_light_from_a_long_ramp(variant):
 
 def marked_scene() -> Scene:
     return flat_scene(markers=Markers(radius_mm=0.12, jitter_mm=0.1, tilt_deg=5.0, seed=3))
-
-
-def imaged_centroids(scene: Scene, move) -> np.ndarray:
-    """(column, row) of the middle of each marker's image: points of the disc moved, projected, weighed by the area they take there."""
-    found = []
-    for centre in rest_membrane(scene).marker_centres:
-        x, y = np.meshgrid(*[np.linspace(-0.12e-3, 0.12e-3, 41)] * 2)
-        points = centre + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-        pixels = project(scene, move(points)).reshape(41, 41, 2)
-        (a, b), (c, d) = (np.gradient(pixels[..., i]) for i in (0, 1))
-        weights = np.abs(a * d - b * c) * (np.hypot(x, y) < 0.12e-3)
-        found.append((pixels * weights[..., None]).sum(axis=(0, 1)) / weights.sum())
-    return np.array(found)
 
 
 def centroid_errors(expected: np.ndarray, picture: np.ndarray) -> np.ndarray:
