@@ -25,8 +25,8 @@ from gelsim.sizing import OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField
 from gelsim.solids import Array, Segment, Sizes, edge_middles, refine
 from gelsim.units import MM
 
-FINER = 1.5
-"""Edges of a solid's mesh over those of a profile."""
+FINER = {"fast": 1.5, "balanced": 1.5, "reference": 3.0}
+"""Edges of a solid's mesh over those of a profile: by accuracy, `reference` wants the contact's radius to 1 % (docs/validation.md, Accuracy)."""
 _MARGIN = 0.1 * MM
 """Beyond the overlap, as fine as in it."""
 _SHARP = np.cos(np.radians(30.0))
@@ -38,16 +38,17 @@ def gel_radius(scene: Scene) -> float:
     return float(np.sqrt(x * y / np.pi)) * MM
 
 
-def mesh_profiles(scene: Scene, *, finer: float = FINER, gel_end: float | None = None) -> tuple[PlanarMesh, PlanarMesh]:
+def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | None = None) -> tuple[PlanarMesh, PlanarMesh]:
     """The gel's and the object's profile, as they just touch; groups as of `meshing`'s solids. A rigid object has edges only.
 
     Args:
-        finer: Edges of a solid's mesh of this fidelity over these.
+        finer: Edges of a solid's mesh of this fidelity over these; `FINER` when left out.
         gel_end: Largest r or x of the gel [m]; `gel_radius`, or half its width under a drawn object, when left out.
     Raises:
         SceneError: The shape fields make no solid.
     """
     sizes, depth = SIZES[scene.fidelity], press_depth(scene)
+    finer = finer or FINER[scene.fidelity]
     segments = profile(scene.object)
     turned = scene.object.shape in TURNED
     end = gel_end or (gel_radius(scene) if turned else scene.gel.size_mm[0] * MM / 2)
