@@ -52,8 +52,8 @@ def reference_table(name: str) -> list[dict[str, float]]:
 def press_errors(press: Deformation, name: str, wanted: dict[str, float], modulus: str, profile: str | None = None) -> Row:
     """Largest relative errors over the states that rows `wanted` of the reference `name` have, and the RMS error of the profile.
 
-    The contact radius also against contact_radius.csv (`docs/studies/contact_radius.py`), whose edges are a quarter as long; `modulus` names
-    the object there.
+    The contact radius also against contact_radius.csv (`docs/studies/contact_radius.py`), whose edges are a quarter as long; `modulus`
+    names the object there.
     """
     rows = [row for row in reference_table(name) if all(math.isclose(row[key], value) for key, value in wanted.items())]
     known = {row["approach_mm"]: row for row in rows}
@@ -123,7 +123,8 @@ SECTION = Section(
     title="Accuracy",
     columns=(
         ("case", "name"), ("unknowns", "unknowns"), ("force error, largest [%]", "force_error_percent"),
-        ("contact radius off the table's, largest [%]", "radius_error_percent"), ("off finer profiles', largest [%]", "radius_finer_percent"),
+        ("contact radius off the table's, largest [%]", "radius_error_percent"),
+        ("off finer profiles', largest [%]", "radius_finer_percent"),
         ("… RMS [%]", "radius_finer_rms_percent"),
         ("profile error, RMS [µm]", "profile_rms_um"), ("overlap [µm]", "penetration_um"), ("seconds", "seconds"),
     ),
