@@ -1,10 +1,11 @@
 """Does `gelsim calibrate` find a sensor that is known? Photographs drawn by the renderer, noise added, a start that knows nothing of it.
 
-    python docs/studies/calibrate_self.py --out out/calibrate_self [--presses 16] [--size 160x120] [--fem 2]
+    python docs/studies/calibrate_self.py --out out/calibrate_self [--presses 16] [--size 160x120] [--fem 2] [--markers]
 
 The sensor: a dome of 45 mm radius and 3.2 mm thickness, three lights at other places and of other sizes than any start, a coat of a fifth
 flakes, inter-reflection on. Balls of 2.5 mm at places and depths drawn by lot; every fourth is a test press. `--fem` N: the dents of the
 first N test presses are solved in three dimensions on the dome, not taken from the family the fit uses. Noise: 1.5 levels, then 8 bits.
+`--markers`: black dots of 0.25 mm radius every 2 mm move with the gel.
 Prints each parameter with its truth and its distance in standard deviations, and writes found.csv.
 """
 
@@ -20,8 +21,8 @@ from PIL import Image
 from gelsim import pipeline
 from gelsim.calibrate import calibrate, drawing
 from gelsim.calibrate.dent import effective_radius, solve_dents
-from gelsim.calibrate.parameters import GEOMETRY, GLOBALS, Parameters, dome_of, empty_scene, to_scene
-from gelsim.scene import Body, Camera, Gel, Lights, Press, Render
+from gelsim.calibrate.parameters import GEOMETRY, GLOBALS, Parameters, dome_of, empty_scene, in_units, to_scene
+from gelsim.scene import Body, Camera, Gel, Lights, Markers, Press, Render
 
 BALL_MM, THICKNESS_MM, CURVATURE, FIELD_MM = 2.5, 3.2, 1 / 45, 18.0
 NOISE = 1.5
@@ -36,13 +37,18 @@ def truth(width: int, height: int) -> Parameters:
     return Parameters(values, np.array(lights), colours, np.zeros((0, 3)), half, width / 2, (4.0, 1.49, 1.41))
 
 
-def write_photos(folder: Path, width: int, height: int, count: int, fem: int, spp: int, seed: int) -> tuple[Parameters, np.ndarray]:
+def write_photos(
+    folder: Path, width: int, height: int, count: int, *, fem: int = 0, spp: int = 144, seed: int = 1, markers: bool = False,
+    gel_known: bool = False,
+) -> tuple[Parameters, np.ndarray]:  # fmt: skip
     """Draws the photographs; returns the sensor and the presses (x, y, depth [mm])."""
     rng = np.random.default_rng(seed)
     sensor = truth(width, height)
     gel = Gel(thickness_mm=THICKNESS_MM)
     base = empty_scene(dome_of(gel, CURVATURE), Camera(), Lights())
     scene = to_scene(sensor, base, (width, height)).replace(render=Render(resolution=(width, height), spp=spp))
+    if markers:
+        scene = scene.replace(markers=Markers(layout="grid", pitch_mm=2.0, radius_mm=0.25))
     reach = 0.5 * FIELD_MM * np.array([1, height / width]) - 2.2
     # Spread evenly: shuffled strata along both axes.
     strata = np.stack([rng.permutation(count), rng.permutation(count)], axis=1)
@@ -68,7 +74,10 @@ def write_photos(folder: Path, width: int, height: int, count: int, fem: int, sp
         table = csv.writer(file)
         table.writerow(["file", "split"])
         table.writerows([f"press_{i:02d}.png", "test" if test[i] else "train"] for i in range(count))
-    settings = f'ball_radius_mm = {BALL_MM}\nno_contact = "rest.png"\nmm_per_px = {FIELD_MM / width}\n'
+    settings = f'ball_radius_mm = {BALL_MM}\nno_contact = "rest.png"\nmm_per_px = {FIELD_MM / width}\nmarkers = {str(markers).lower()}\n'
+    if gel_known:
+        thick, thin = scene.gel.thickness_mm, scene.gel.edge_thickness_mm
+        settings += f'[gel]\nprofile = "dome"\nthickness_mm = {thick}\nedge_thickness_mm = {thin}\n'
     (folder / "photos.toml").write_text(settings, encoding="utf-8")
     return sensor, presses
 
@@ -81,14 +90,16 @@ def compare(report: dict, sensor: Parameters, presses: np.ndarray) -> list[tuple
         if found[name]["state"] != "given":
             rows.append((name, float(value), found[name]["value"], found[name]["sd"], found[name]["state"]))
     names = report["fit"]["lights"][:-1]
-    angles = np.array([found[f"lights.{name}.azimuth_rad"]["value"] for name in names])
+    angles = np.array([np.radians(found[f"lights.{name}.azimuth_deg"]["value"]) for name in names])
     for light in sensor.geometry:
         away = np.angle(np.exp(1j * (angles - light[1])))
         name = names[int(np.abs(away).argmin())]
         for what, value in zip(GEOMETRY, light, strict=True):
-            entry = found[f"lights.{name}.{what}"]
-            got = float(value + away[np.abs(away).argmin()]) if what == "azimuth_rad" else entry["value"]
-            rows.append((f"{name}.{what}", float(value), got, entry["sd"], entry["state"]))
+            shown, wanted, _ = in_units(f"lights.{name}.{what}", float(value), 0.0)
+            entry = found[shown]
+            # Azimuths are the same after a full turn.
+            got = wanted + float(np.degrees(away[np.abs(away).argmin()])) if what == "azimuth_rad" else entry["value"]
+            rows.append((shown, wanted, got, entry["sd"], entry["state"]))
     for row, press in zip(report["presses"], presses, strict=True):
         for k, what in enumerate(("x_mm", "y_mm", "depth_mm")):
             rows.append((f"{row['file']}.{what}", float(press[k]), [*row["offset_mm"], row["depth_mm"]][k], row["sd_mm"][k], row["split"]))
@@ -101,11 +112,15 @@ def main() -> None:
     parser.add_argument("--presses", type=int, default=16)
     parser.add_argument("--size", default="160x120")
     parser.add_argument("--fem", type=int, default=0)
+    parser.add_argument("--markers", action="store_true")
     parser.add_argument("--spp", type=int, default=144)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     width, height = (int(part) for part in options.size.split("x"))
-    sensor, presses = write_photos(options.out / "photos", width, height, options.presses, options.fem, options.spp, options.seed)
+    sensor, presses = write_photos(
+        options.out / "photos", width, height, options.presses,
+        fem=options.fem, spp=options.spp, seed=options.seed, markers=options.markers,
+    )  # fmt: skip
     report = calibrate(options.out / "photos", options.out / "sensor.toml", sensor="self", force=True)
     rows = compare(report, sensor, presses)
     with (options.out / "found.csv").open("w", newline="", encoding="utf-8") as file:

@@ -106,18 +106,19 @@ class Dents:
         return self.families[0].deepest_mm
 
     def at(self, thickness_mm: float) -> DentFamily:
-        """The family of a thickness, linear between those solved."""
+        """The family of a thickness, linear in its logarithm between those solved."""
         if len(self.families) == 1:
             return self.families[0]
-        place = np.interp(thickness_mm, self.thicknesses_mm, np.arange(len(self.families)))
+        place = np.interp(np.log(thickness_mm), np.log(self.thicknesses_mm), np.arange(len(self.families)))
         index = min(int(place), len(self.families) - 2)
         share, a, b = place - index, self.families[index], self.families[index + 1]
         mixed = ((1 - share) * getattr(a, name) + share * getattr(b, name) for name in ("height", "slope", "moved"))
         return DentFamily(a.depths_mm, *mixed)
 
 
-THICKNESSES = (1.5, 2.4, 4.0, 6.0, 9.0)
-"""Solved [mm] when the gel is not known."""
+THICKNESSES = tuple(float(round(thickness, 3)) for thickness in np.geomspace(1.5, 9.0, 11))
+"""Solved [mm] when the gel is not known. Between neighbours, 1.2 apart, the surface is good to 2 µm; 1.6 apart it was off by 10 µm, which
+moved the thickness found by 0.3 mm."""
 
 
 def solve_dents(gel: Gel, ball_radius_mm: float, known: bool, progress: Callable[[int, int], None] | None = None) -> Dents:

@@ -87,11 +87,13 @@ class Evaluation:
     def _linear(self, maps: list[Array]) -> Array:
         return self.gain * (np.array(maps).T @ self.parameters.colours)
 
-    def sensor_columns(self) -> Array:
-        """Derivatives of the levels by the parameters' vector, shape (N, 3, K)."""
+    def sensor_columns(self, frozen: NDArray[np.bool_] | None = None) -> Array:
+        """Derivatives of the levels by the parameters' vector, shape (N, 3, K); left at 0 for those of GLOBALS that are frozen."""
         p, count = self.parameters, len(self.data.level)
         columns = np.zeros((count, 3, p.vector.size))
         for k, name in enumerate(GLOBALS):
+            if frozen is not None and frozen[k]:
+                continue
             step = STEPS.get(name, 1e-4)
             if name == "camera.gamma":
                 moved = model.tone(self.linear, p.globals[6] + step)[0] + self.data.correction
@@ -190,7 +192,7 @@ def fit(
         sigma = max(1.4826 * float(np.median(np.abs(residual[counted]))), 0.3)
         cost = _cost(residual, data.weight, sigma) + float(pull @ (vector - centre) ** 2)
         robust = data.weight * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
-        hessian, gradient, scores = _normal(here, residual, robust, sensor_count, not frozen.all())
+        hessian, gradient, scores = _normal(here, residual, robust, frozen)
         hessian += np.diag(pull)
         gradient -= pull * (vector - centre)
         if progress:
@@ -223,16 +225,23 @@ def fit(
     return Fitted(here.parameters, here.presses, float(cost), rms, sigma, covariance, done)
 
 
+def brightness(parameters: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float) -> Array:
+    """Mean linear value that each light but the veil gives the pictures, all colours together, shape (L,)."""
+    here = Evaluation(parameters, presses, data, dents, ball_mm)
+    return np.array([values.mean() * colours.sum() for values, colours in zip(here.maps[:-1], parameters.colours[:-1], strict=True)])
+
+
 def _cost(residual: Array, weight: Array, sigma: float) -> float:
     size = np.abs(residual) / sigma
     return float((weight * np.where(size < HUBER, size**2, 2 * HUBER * size - HUBER**2)).sum())
 
 
-def _normal(here: Evaluation, residual: Array, weight: Array, sensor_count: int, sensor_moves: bool) -> tuple[Array, Array, Array]:
+def _normal(here: Evaluation, residual: Array, weight: Array, frozen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     """JᵀWJ, JᵀWr and the gradient's share of each block, over sensor and presses."""
     data, presses = here.data, here.presses
     own = here.press_columns()
-    sensor = here.sensor_columns() if sensor_moves else np.zeros((len(residual), 3, sensor_count))
+    sensor_count = len(frozen)
+    sensor = np.zeros((len(residual), 3, sensor_count)) if frozen.all() else here.sensor_columns(frozen)
     total = sensor_count + presses.size
     hessian = np.zeros((total, total))
     flat = sensor.reshape(-1, sensor_count)

@@ -126,6 +126,14 @@ class Parameters:
         return np.array([*place, azimuth + np.pi + turn, elevation, np.exp(length), np.exp(height)])
 
 
+def in_units(name: str, value: float, sd: float) -> tuple[str, float, float]:
+    """A parameter as people read it: degrees for radians, millimetres for logarithms of them."""
+    if name.endswith("_rad"):
+        return name.removesuffix("rad") + "deg", float(np.degrees(value)), float(np.degrees(sd))
+    group, _, what = name.rpartition(".log_")
+    return (f"{group}.{what}_mm", float(np.exp(value)), float(np.exp(value) * sd)) if group else (name, value, sd)
+
+
 def light_names(parameters: Parameters) -> list[str]:
     """A colour each, numbered where a colour comes twice."""
     names: list[str] = []

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gelsim.scene import Scene
-from gelsim.scene_file import PRESET_SECTIONS, scene_table
+from gelsim.scene_file import PRESET_SECTIONS
 
 DIGITS = 6
 
 
 def write_preset(path: Path, scene: Scene, report: Mapping[str, Any], name: str) -> None:
     """Writes the preset as TOML; numbers with six digits."""
-    import tomli_w
-
-    table = scene_table(scene)
-    sections = {section: _short(table[section]) for section in PRESET_SECTIONS}
     fit, parts = report["fit"], report["parameters"]
     given = [
         f"{key} {entry['value']:.4g} ± {entry['sd']:.2g}"
@@ -32,12 +30,26 @@ def write_preset(path: Path, scene: Scene, report: Mapping[str, Any], name: str)
         "# Determined by the photographs (value ± standard deviation):",
         *(f"#   {text}" for text in given),
     ]
-    path.write_text("\n".join(lines) + "\n\n" + tomli_w.dumps(sections), encoding="utf-8")
+    for section in PRESET_SECTIONS:
+        lines += ["", f"[{section}]", *_keys(getattr(scene, section))]
+        if section == "lights":
+            for light in scene.lights.lights:
+                lines += ["", "[[lights.lights]]", *_keys(light)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _keys(table: Any) -> list[str]:
+    """A line for each field that is not the scene's default anyway; the first field of a table always, so that none is empty."""
+    default, lines = type(table)(), []
+    for number, item in enumerate(dataclasses.fields(table)):
+        value = getattr(table, item.name)
+        if item.name == "lights" or (number > 0 and value == getattr(default, item.name)) or value is None:
+            continue
+        lines.append(f"{item.name} = {json.dumps(_short(value))}")
+    return lines
 
 
 def _short(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _short(item) for key, item in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, tuple):
         return [_short(item) for item in value]
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value

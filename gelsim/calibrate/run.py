@@ -21,8 +21,8 @@ from gelsim import outputs
 from gelsim.calibrate import dots, drawing, pictures
 from gelsim.calibrate import start as beginning
 from gelsim.calibrate.dent import Dents, effective_radius, solve_dents
-from gelsim.calibrate.fit import Data, Fitted, fit
-from gelsim.calibrate.parameters import GLOBALS, Parameters, curvature_of, empty_scene, light_names, to_scene
+from gelsim.calibrate.fit import Data, Fitted, brightness, fit
+from gelsim.calibrate.parameters import GLOBALS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.preset import write_preset
 from gelsim.errors import SceneError
@@ -40,9 +40,13 @@ MOST_PIXELS = 22000
 """Compared in one fit, in all photographs together."""
 FELT = 1.8
 """Of a dent's visible radius: how far from its middle a press is compared by itself."""
+NEEDED = 1.05
+"""A light is needed if the squared error without it is larger by this factor."""
 ROUNDS = 2
 """Of the renderer's correction."""
-CORRECTION_SPP, SCORE_SPP = 12, 24
+CORRECTION_SPP, SCORE_SPP = 24, 24
+SMOOTHING = 0.8
+"""Standard deviation [px] of the mean over the renderer's noise in what it adds."""
 SHADING_DEGREE = 3
 VALIDATION = 4
 """One in so many presses of the fit decides whether shading helps; with fewer than twice as many presses there is none."""
@@ -136,6 +140,7 @@ def calibrate(
         correction = _correction(job, fitted, train, degree, show, f"render {number + 1}")
         data = job.data(train, fitted.presses, fitted.parameters.globals[0], degree, correction)
         fitted = _fit(job, fitted.parameters, fitted.presses, sd[train], data, believed, 10, f"fit {number + 2}", show)
+        believed, fitted = _without_needless_lights(job, believed, fitted, sd[train], data, show)
 
     places = presses.copy()
     places[train] = fitted.presses
@@ -191,10 +196,13 @@ def _check_out(out: Path, force: bool) -> outputs.ResultFolder:
     return outputs.ResultFolder(out.parent, resume=True)
 
 
+def _is_preset(sensor: str) -> bool:
+    return sensor in preset_names() or sensor.endswith(".toml")
+
+
 def _base(sensor: str | None) -> Scene:
     """Gel, window, camera of the start: a shipped preset's, without its lights and markers."""
-    name = sensor if sensor in preset_names() or (sensor or "").endswith(".toml") else "fingertip2017"
-    start = build_scene({"sensor": {"preset": name}})
+    start = build_scene({"sensor": {"preset": sensor if sensor and _is_preset(sensor) else "fingertip2017"}})
     # The veil stands for what the window returns; the fit's camera is upright on the axis.
     camera = replace(start.camera, offset_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0), distortion=(0.0, 0.0), fresnel=False, tone="srgb")
     return empty_scene(start.gel, camera, replace(start.lights, window_reflection=False))
@@ -270,6 +278,22 @@ def _fit(
     )  # fmt: skip
 
 
+def _without_needless_lights(
+    job: _Job, first: Parameters, rough: Fitted, sd: Array, data: Data, show: Progress
+) -> tuple[Parameters, Fitted]:
+    """The start and the rough fit less the lights that it does as well without: the start's lights stand on a grid, and a place between two
+    of its points took two of them. The weakest goes first, until one is needed."""
+    while len(rough.parameters.geometry) > 1:
+        lit = brightness(rough.parameters, rough.presses, data, job.dents, job.photos.ball_mm)
+        kept = np.delete(np.arange(len(lit) + 1), int(lit.argmin()))
+        fewer, begin = (replace(each, geometry=each.geometry[kept[:-1]], colours=each.colours[kept]) for each in (first, rough.parameters))
+        trial = _fit(job, begin, rough.presses, sd, data, fewer, 15, f"fit of {len(kept) - 1} lights", show)
+        if trial.rms**2 > NEEDED * rough.rms**2:
+            break
+        first, rough = fewer, trial
+    return first, rough
+
+
 def _with_shading(parameters: Parameters, degree: int) -> Parameters:
     terms = next((count for count, known in SHADING_DEGREES.items() if known == degree), 0)
     return replace(parameters, shading=np.zeros((terms, 3)))
@@ -333,12 +357,14 @@ def _correction(job: _Job, fitted: Fitted, which: NDArray[np.int64], degree: int
     height, width = job.rest.shape[:2]
     scene = to_scene(fitted.parameters, job.base, (width, height))
     rest, images = _draw(job, scene, fitted.parameters, fitted.presses, CORRECTION_SPP, show, name)
-    modelled_rest, modelled = beginning.whole_pictures(fitted, degree, job.dents, job.photos.ball_mm, (height, width))
-    # Smooth over two pixels: it is, but for the renderer's noise.
-    added = np.zeros((len(job.reduced), height, width, 3))
-    for index, picture, model_picture in zip(which, images, modelled, strict=True):
-        added[index] = gaussian_filter(picture - model_picture, (1.5, 1.5, 0))
-    return gaussian_filter(rest - modelled_rest, (1.5, 1.5, 0)), added
+    reach = np.maximum(FELT * job.contacts[which, 2], 6.0)
+    middles, means = beginning.whole_pictures(fitted, degree, job.dents, job.photos.ball_mm, (height, width), reach)
+    # What inter-reflection adds is smooth, so that the renderer's noise can be smoothed away; what a pixel averages over is not.
+    drawn = np.concatenate([rest[None], images])
+    added = gaussian_filter(drawn - means, (0, SMOOTHING, SMOOTHING, 0)) + (means - middles)
+    whole = np.zeros((len(job.reduced), height, width, 3))
+    whole[which] = added[1:]
+    return added[0], whole
 
 
 def _rows(which: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -370,15 +396,17 @@ def _report(
         value = float(fitted.parameters.vector[index])
         bound = value <= low[index] or value >= high[index]
         determined = not frozen[index] and not bound and spread[index] < UNDETERMINED * prior[index]
-        table[name] = {
-            "value": value * scale[index],
-            "sd": None if frozen[index] else spread[index] * scale[index],
-            "prior": float(believed.vector[index]) * scale[index],
-            "prior_sd": prior[index] * scale[index],
+        shown_name, number, sd = in_units(name, value, spread[index])
+        _, believed_number, believed_sd = in_units(name, float(believed.vector[index]), prior[index])
+        table[shown_name] = {
+            "value": number * scale[index],
+            "sd": None if frozen[index] else sd * scale[index],
+            "prior": believed_number * scale[index],
+            "prior_sd": believed_sd * scale[index],
             "state": "given" if frozen[index] else "at its bound" if bound else "determined" if determined else "not determined",
         }
         if not frozen[index] and not determined and "flux" not in name:
-            loose.append(name)
+            loose.append(shown_name)
     if loose:
         warnings.append(f"the photographs do not determine {', '.join(loose)}: kept near the start, or at a bound")
     pixels = (places[:, :2] / (1 + photos.ball_mm * fitted.parameters.globals[2])) / fitted.parameters.globals[0] * job.factor
@@ -445,4 +473,5 @@ def _write(
     folder.write("comparison.png", lambda path: pictures.draw_comparison(path, columns, captions))
     folder.write("residuals.png", lambda path: pictures.draw_residuals(path, seen, fitted, captions))
     folder.write("report.json", lambda path: outputs.write_report(path, report))
-    folder.write(out.name, lambda path: write_preset(path, scene, report, sensor or out.stem))
+    name = out.stem if sensor is None or _is_preset(sensor) else sensor
+    folder.write(out.name, lambda path: write_preset(path, scene, report, name))

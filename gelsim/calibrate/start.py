@@ -25,6 +25,8 @@ DRAPE = 1.5
 """Width of the visible dent over that of the contact."""
 MOST_LIGHTS, WORTH = 6, 0.08
 """A further light must remove this share of the squared error."""
+SUBPIXEL = 0.5 / np.sqrt(3)
+"""Gauss' two points across a pixel, from its middle."""
 BLOCK = 12
 """Side of the pixel blocks that share errors [pixels of the fit]."""
 
@@ -107,17 +109,27 @@ def _basis(place: Array, size: tuple[float, float], degree: int) -> Array:
     return shading_basis(2 * place[:, 0] / size[0], 2 * place[:, 1] / size[1], degree)
 
 
-def whole_pictures(fitted: Fitted, degree: int, dents: Dents, ball_mm: float, shape: tuple[int, int]) -> tuple[Array, Array]:
-    """The model's levels of the picture without contact (H, W, 3), and of each press (P, H, W, 3)."""
+def whole_pictures(fitted: Fitted, degree: int, dents: Dents, ball_mm: float, shape: tuple[int, int], reach: Array) -> tuple[Array, Array]:
+    """The model's levels of the picture without contact and of each press, shape (1 + P, H, W, 3): at the pixels' middles, as the fit has
+    them, and as means over the pixels. The two differ only at a dent: within `reach` [px], shape (P,), of its middle."""
     height, width = shape
     rows, columns = np.mgrid[:height, :width]
     place = np.column_stack([columns.ravel() + 0.5 - width / 2, rows.ravel() + 0.5 - height / 2])
     count = len(fitted.presses)
-    pixels = model.Pixels(np.tile(place, (count + 1, 1)), np.repeat(np.arange(-1, count), len(place)))
-    nothing = np.zeros((len(pixels.place), 3))
-    data = Data(pixels, nothing, nothing, np.zeros(len(nothing), np.int64), _basis(pixels.place, (width, height), degree), nothing)
-    level = Evaluation(fitted.parameters, fitted.presses, data, dents, ball_mm).level.reshape(count + 1, height, width, 3)
-    return level[0], level[1:]
+
+    def level(places: Array, press: NDArray[np.int64]) -> Array:
+        nothing = np.zeros((len(places), 3))
+        basis = _basis(places, (width, height), degree)
+        data = Data(model.Pixels(places, press), nothing, nothing, np.zeros(len(places), np.int64), basis, nothing)
+        return Evaluation(fitted.parameters, fitted.presses, data, dents, ball_mm).level
+
+    middles = level(np.tile(place, (count + 1, 1)), np.repeat(np.arange(-1, count), len(place))).reshape(count + 1, len(place), 3)
+    at = fitted.presses[:, :2] / fitted.parameters.globals[0]
+    press, pixel = np.nonzero(np.hypot(*(place - at[:, None]).transpose(2, 0, 1)) <= reach[:, None])
+    means = middles.copy()
+    corners = SUBPIXEL * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    means[1 + press, pixel] = np.mean([level(place[pixel] + corner, press) for corner in corners], axis=0)
+    return middles.reshape(count + 1, height, width, 3), means.reshape(count + 1, height, width, 3)
 
 
 def candidates(half_field_mm: float) -> Array:

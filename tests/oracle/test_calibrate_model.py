@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelsim.calibrate import drawing, model
-from gelsim.calibrate.dent import Dents, effective_radius, solve_dents
+from gelsim.calibrate import dent, drawing, model
+from gelsim.calibrate.dent import THICKNESSES, DentFamily, Dents, effective_radius, solve_dents
 from gelsim.calibrate.fit import Data, Evaluation
 from gelsim.calibrate.parameters import Parameters, curvature_of, dome_of, empty_scene, to_scene
 from gelsim.calibrate.start import shading_basis
@@ -111,12 +111,28 @@ def test_the_dent_conforms_to_the_ball(dents):
     depth, shape = 0.5, model.Shape(0.05, 30.0, ((4.0, 1.49), (2.4, 1.41)), 100.0, CURVATURE, BALL_MM)
     family = dents.at(2.4)
     rho = np.linspace(0.02, 0.6, 30)
-    dent, _ = family.surface(rho, np.full(30, depth), effective_radius(BALL_MM, CURVATURE))
+    dented, _ = family.surface(rho, np.full(30, depth), effective_radius(BALL_MM, CURVATURE))
     dome, _ = model._dome(shape.curvature, np.column_stack([rho, np.zeros(30)]))
     ball = -depth + BALL_MM - np.sqrt(BALL_MM**2 - rho**2)
     # The family presses a ball of R' = 1.905 mm into a plane; to fourth order the two differ by ρ⁴ (1/R'³ - 1/R³) / 8 = 0.3 µm at 0.6 mm.
     # The rest is the contact's own overlap and the tables' steps: 2 µm.
-    assert np.abs(dent + dome - ball).max() < 2.5e-3
+    assert np.abs(dented + dome - ball).max() < 2.5e-3
+
+
+@pytest.mark.slow
+def test_dents_between_the_solved_thicknesses():
+    low, high = THICKNESSES[4:6]
+    middle, depths, rho = float(np.sqrt(low * high)), np.linspace(0.1, 1.2, 12), np.linspace(0, 5, 200)
+    families = [dent._solve(Gel(thickness_mm=thickness), BALL_MM, depths) for thickness in (low, middle, high)]
+
+    def apart(family: DentFamily) -> float:
+        pair = [each.surface(rho, np.full(200, 1.15), BALL_MM)[0] for each in (family, families[1])]
+        return float(np.abs(pair[0] - pair[1]).max())
+
+    # Linear in log h, over half a step of 0.09: the second difference of the tables gives 1 µm; each solution's own mesh 1.5 µm.
+    assert apart(Dents(np.array([low, high]), (families[0], families[2])).at(middle)) < 4e-3
+    # Planted: the thinner gel's dent in its place.
+    assert apart(families[0]) > 4e-3
 
 
 def test_rays_are_the_camera_s(dents):

@@ -57,7 +57,9 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("photos.toml", GOOD.replace("2.0", "nan"), "finite"),
         ("photos.toml", GOOD.replace("2.0", '"big"'), "expected a number"),
         ("photos.toml", GOOD + "mm_per_pixel = 0.1\n", "unknown key 'mm_per_pixel'; did you mean 'mm_per_px'"),
+        ("photos.toml", GOOD.replace("2.0", "-2.0"), "ball_radius_mm = -2 mm: allowed is 0.5 … 50 mm"),
         ("photos.toml", GOOD + "mm_per_px = 0.0\n", "mm_per_px = 0 mm/px"),
+        ("photos.toml", GOOD + "mm_per_px = nan\n", "mm_per_px = nan: expected a finite number"),
         ("photos.toml", GOOD + "[gel]\nthickness_mm = -1.0\n", "gel.thickness_mm = -1 mm"),
         ("photos.toml", GOOD.replace("rest.png", "none.png"), "none.png: is not a picture"),
         ("a.png", "not a picture", "a.png: is not a picture that can be read"),
@@ -66,6 +68,7 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,depth_mm\na.png,deep\n", "line 2: depth_mm = 'deep' is not a number"),
         ("presses.csv", "file,depth_mm\na.png,-0.5\n", "depth_mm = -0.5 mm: allowed is more than 0"),
         ("presses.csv", "file,col_px\na.png,inf\n", "col_px = inf is not finite"),
+        ("presses.csv", "file,depth_mm\na.png,nan\n", "depth_mm = nan is not finite"),
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
         ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
         ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
@@ -80,6 +83,17 @@ def test_bad_folders_are_refused_in_one_line(folder, file, text, message):
     with pytest.raises(SceneError) as caught:
         read_photos(folder)
     assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_picture_that_holds_nan_is_refused(folder):
+    values = np.full((48, 64, 3), 0.18, np.float32)
+    write_radiance(folder / "c.exr", values)
+    (folder / "presses.csv").write_text("file\nc.exr\n")
+    read_photos(folder)
+    values[5, 6, 1] = np.nan
+    write_radiance(folder / "c.exr", values)
+    with pytest.raises(SceneError, match="c.exr: holds values that are not finite"):
+        read_photos(folder)
 
 
 @pytest.mark.parametrize(
