@@ -12,7 +12,7 @@ from gelsim.membrane import rest_membrane
 from gelsim.optics.camera import pixel_rays
 from gelsim.optics.lighting import light_pose
 from gelsim.optics.spectra import light_colour
-from gelsim.scene import Scene
+from gelsim.scene import Light, Scene
 from gelsim.shapes import gel_height
 
 INK = "#22303c"
@@ -52,6 +52,14 @@ def draw_sensor(path: Path, scene: Scene, device: str = "auto") -> None:
     figure.savefig(path, format="png")
 
 
+def _drawn_lights(scene: Scene) -> tuple[list[Light], str]:
+    """Those that stand at the sensor, and what is said of those too far off to be drawn with it."""
+    reach = 3 * max(*scene.gel.size_mm, scene.camera.distance_mm)
+    away = [(light, float(np.linalg.norm(light.position_mm))) for light in scene.lights.lights]
+    far = ", ".join(f"{light.name} at {distance:g} mm" for light, distance in away if distance > reach)
+    return [light for light, distance in away if distance <= reach], f"not drawn: {far}" if far else ""
+
+
 def _shown(rgb: Any) -> Any:
     return np.clip(np.array(rgb) / max(np.max(rgb), 1e-9), 0, 1) ** (1 / 2.2)
 
@@ -74,7 +82,8 @@ def _draw_section(axes: Any, scene: Scene) -> None:
         axes.plot([camera.offset_mm[0], start[0], end[0]], [-camera.distance_mm, start[2], end[2]], color="#888888", linewidth=0.8)
     axes.plot(camera.offset_mm[0], -camera.distance_mm, "^", color=INK, markersize=8)
     axes.annotate("camera", (camera.offset_mm[0], -camera.distance_mm), textcoords="offset points", xytext=(8, -3), fontsize=8, color=INK)
-    for light in lights.lights:
+    lamps, far = _drawn_lights(scene)
+    for light in lamps:
         corners = light_pose(light) @ np.array([[-1, 1, 1, -1], [-1, -1, 1, 1], [0, 0, 0, 0], [1, 1, 1, 1]], float)
         axes.fill(corners[0], corners[2], color=_shown(light_colour(light)), edgecolor=INK, linewidth=0.8)
         normal = light_pose(light)[:3, 2] * 4
@@ -84,6 +93,7 @@ def _draw_section(axes: Any, scene: Scene) -> None:
             (light.position_mm[0], light.position_mm[2]),
             arrowprops={"arrowstyle": "->", "color": INK},
         )
+    axes.text(0.02, 0.02, far, transform=axes.transAxes, fontsize=8, color=INK)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("section: lamps, window, gel, the camera's rays", fontsize=10, color=INK)
     axes.set_xlabel("x [mm]")
@@ -94,7 +104,7 @@ def _draw_plan(axes: Any, scene: Scene) -> None:
     """As the camera looks: x right, y down."""
     for (width, height), style in ((scene.gel.size_mm, "-"), (scene.camera.field_mm, "--")):
         axes.plot(np.array([-1, 1, 1, -1, -1]) * width / 2, np.array([-1, -1, 1, 1, -1]) * height / 2, style, color=INK, linewidth=1)
-    for light in scene.lights.lights:
+    for light in _drawn_lights(scene)[0]:
         corners = light_pose(light) @ np.array([[-1, 1, 1, -1], [-1, -1, 1, 1], [0, 0, 0, 0], [1, 1, 1, 1]], float)
         axes.fill(corners[0], corners[1], color=_shown(light_colour(light)), edgecolor=INK, linewidth=0.8)
         axes.annotate(light.name, light.position_mm[:2], textcoords="offset points", xytext=(4, 6), fontsize=8, color=INK)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -28,6 +29,18 @@ def test_no_contact_is_mid_grey_in_the_middle(name):
     # Planted: half the exposure is seen.
     dark = scene.replace(camera=replace(scene.camera, exposure=scene.camera.exposure / 2))
     assert next(iter(render_frames(dark, [rest_membrane(dark)]))).image[16:32, 24:40].mean() < 95
+
+
+def test_the_calibrated_sensor_looks_like_its_photograph():
+    scene = build_scene({"sensor": {"preset": "taxim"}, "render": {"resolution": [64, 48], "spp": 16}})
+    (frame,) = render_frames(scene, [rest_membrane(scene)])
+    quarters = frame.image.reshape(2, 24, 2, 32, 3).mean(axis=(1, 3))
+    # Mean levels of the quarters of the median of the photographs that were fitted to: green top left, red right, blue bottom left. The
+    # fit leaves 5 levels root mean square at a pixel, most of it finer than a quarter; rounding and the renderer's noise 0.1 of a mean.
+    wanted = [[(127.9, 158.3, 133.6), (151.0, 119.9, 140.2)], [(126.9, 115.3, 193.8), (154.4, 115.3, 151.5)]]
+    assert quarters == pytest.approx(np.array(wanted), abs=4)
+    # Planted: red and green exchanged.
+    assert quarters[..., [1, 0, 2]] != pytest.approx(np.array(wanted), abs=4)
 
 
 def test_inspect_draws_a_sensor(tmp_path, capsys):
