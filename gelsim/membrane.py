@@ -55,27 +55,33 @@ def membrane_states(scene: Scene, deformation: Deformation) -> list[Membrane]:
     Returns:
         N membranes on the same material grid; where nothing moves they equal `rest_membrane(scene)` exactly.
     """
+    return surface_states(scene, deformation.gel.rest[:, :2], deformation.gel.displacement)
+
+
+def surface_states(scene: Scene, nodes: NDArray[np.float64], displacement: NDArray[np.float64]) -> list[Membrane]:
+    """As `membrane_states`, from the rest places x, y of the surface's nodes (G, 2) [m] and their displacements (N, G, 3) [m]."""
     from scipy.interpolate import CloughTocher2DInterpolator
     from scipy.spatial import Delaunay, KDTree
+    from threadpoolctl import threadpool_limits
 
     grid, faces, columns = _material_grid(scene)
     centres = marker_layout(scene).centres
     places = np.concatenate([grid, centres])
-
-    motion = deformation.gel
-    nodes = motion.rest[:, :2]
-    states, node_count = motion.displacement.shape[:2]
-    values = np.ascontiguousarray(motion.displacement.transpose(1, 0, 2).reshape(node_count, -1))
+    states, node_count = displacement.shape[:2]
+    values = np.ascontiguousarray(displacement.transpose(1, 0, 2).reshape(node_count, -1))
     # Gradients of columns that do not move at all need no iteration; a tolerance below a nanometre over a node spacing changes no pixel.
-    interpolant = CloughTocher2DInterpolator(Delaunay(nodes), values, tol=1e-6)
-    displacement = interpolant(places)
+    # One thread: Qhull's transforms are thousands of LAPACK calls on 2 x 2 matrices, for each of which OpenBLAS would wake all cores, and
+    # wait for them while others use them (1000 points on two busy cores: 15.6 s of processor time, and 3 ms so).
+    with threadpool_limits(1):
+        interpolant = CloughTocher2DInterpolator(Delaunay(nodes), values, tol=1e-6)
+        moved = interpolant(places)
     # The grid's rim may lie outside the triangulation by a rounding error: there the nearest node's displacement holds.
-    outside = np.flatnonzero(np.isnan(displacement[:, 0]))
+    outside = np.flatnonzero(np.isnan(moved[:, 0]))
     if len(outside):
         _, nearest = KDTree(nodes).query(places[outside])
-        displacement[outside] = values[nearest]
-    displacement = displacement.reshape(len(places), states, 3)
-    return [_assemble(scene, grid, faces, columns, centres, displacement[:, n]) for n in range(states)]
+        moved[outside] = values[nearest]
+    moved = moved.reshape(len(places), states, 3)
+    return [_assemble(scene, grid, faces, columns, centres, moved[:, n]) for n in range(states)]
 
 
 def _material_grid(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
