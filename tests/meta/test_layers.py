@@ -16,7 +16,7 @@ LAYERS = [
     {"scene", "limits", "results"},
     {"scene_file", "markers"},
     {"solids", "sizing", "mesh_file"},
-    {"shapes", "inclusions", "lightfield", "dataset", "metrics"},
+    {"shapes", "inclusions", "lightfield", "dataset", "motion", "metrics"},
     {"meshing", "profiles", "fem", "membrane", "optics"},
     {"outputs", "sensor_sheet", "sheet", "fidelity", "reductions"},
     {"pipeline", "inspection", "doctor", "randomize"},
@@ -33,6 +33,7 @@ HELPERS = {
     ("outputs", "sheet"),
     ("inclusions", "shapes"),
     ("scene", "limits"),
+    ("motion", "dataset"),
     ("limits", "units"),
     # The light field is measured on membranes that no press made.
     ("optics", "membrane"),
