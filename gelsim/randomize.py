@@ -1,0 +1,636 @@
+"""Distributions over the fields of a scene, and plans: which objects exist, how they are pressed, with which sensors they are seen.
+
+A plan is a TOML file, or what it changes of another, its `base`. A field of the scene, by its full name, has a value or a distribution:
+
+    {uniform = [a, b]}  {log_uniform = [a, b]}  {normal = [mean, sd], within = [a, b]}  {integers = [a, b]}
+    {choice = [...], weights = [...]}
+    {cycle = [...]}     the values in turn, by the number of what is drawn
+    {chance = p, then = …, else = …}      and any of them with  relative = "times" | "plus"  of what the field is without it;
+
+a list gives every component its own. `lights.lights.power` is every light's, each for itself. Four things are drawn, each from a generator
+of its own, SeedSequence(seed, spawn_key=(kind, number)): sensors (what a light field has to be measured for), objects (made once, pressed
+many times), presses (mechanics runs: hardness scale, contact, motion) and episodes (an end point of a press, its timing, and what light
+costs nothing: markers, exposure, powers). So number i of a seed is the same for any number of workers and in any order.
+
+Hardness to modulus: E(H) = s E_Hertz(H) (E_Hertz(H) / E_Hertz(H₀))^(γ - 1), s and γ drawn by press, the same for gel and object, H₀ the
+gel's hardness: the literature disagrees by two over s and leaves γ open (docs/physics.md).
+
+Left out: dependence between fields, other than through kinds of objects.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import tomllib
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelsim import materials
+from gelsim.errors import GelsimError, SceneError
+from gelsim.limits import CHOICES, LIMITS
+from gelsim.scene import Scene, convert, field_types, nearest
+from gelsim.scene_file import Layer, build_scene
+from gelsim.units import unit_of
+
+DRAWS = ("uniform", "log_uniform", "normal", "integers", "choice", "cycle", "chance")
+MODIFIERS = {"normal": ("within",), "choice": ("weights",), "chance": ("then", "else")}
+SENSOR, OBJECT, PRESS, EPISODE, SPLIT = range(5)
+"""First numbers of the spawn keys."""
+TRIES = 1000
+"""Of a truncated normal, before its range is said to be impossible."""
+RIGID_DEEPEST = 0.6
+"""Of the gel's thickness: deeper presses of rigid objects end there, before the gel is cut through."""
+HUMAN_OR_ROBOT = ("human", "robot")
+SPLITS = ("train", "validation", "novel_hardness", "novel_shape", "robot", "vessels", "complicated", "natural")
+
+
+# ---- distributions ----
+
+
+def check_distribution(value: Any, where: str, name: str | None = None) -> None:
+    """Raises SceneError where a distribution is malformed, or can give what the scene field `name` does not allow."""
+    if isinstance(value, list):
+        for number, item in enumerate(value):
+            check_distribution(item, f"{where}[{number}]", name)
+        return
+    if not isinstance(value, dict):
+        _check_value(value, where, name)
+        return
+    kinds = [key for key in value if key in DRAWS]
+    if len(kinds) != 1:
+        found = f"has {' and '.join(kinds)}" if kinds else f"has none of them{nearest(next(iter(value), ''), DRAWS)}"
+        raise SceneError(f"{where}: a distribution is one of {', '.join(DRAWS)}; this {found}")
+    kind = kinds[0]
+    extra = [key for key in value if key not in (kind, "relative", *MODIFIERS.get(kind, ()))]
+    if extra:
+        raise SceneError(f"{where}: {kind} has no {extra[0]!r}")
+    relative = value.get("relative")
+    if relative not in (None, "times", "plus"):
+        raise SceneError(f'{where}: relative = {relative!r}: allowed are "times" and "plus"')
+    limited = None if relative else name
+    argument = value[kind]
+    if kind in ("choice", "cycle"):
+        if not isinstance(argument, list) or not argument:
+            raise SceneError(f"{where}: {kind} = {argument!r}: expected a list of values")
+        for item in argument:
+            _check_value(item, where, limited)
+        weights = value.get("weights")
+        fits = isinstance(weights, list) and len(weights) == len(argument) and all(_is_number(w) and w >= 0 for w in weights)
+        if weights is not None and not (fits and sum(weights)):
+            raise SceneError(f"{where}: weights = {weights!r}: expected {len(argument)} numbers of 0 or more, not all 0")
+    elif kind == "chance":
+        if not _is_number(argument) or not 0 <= argument <= 1:
+            raise SceneError(f"{where}: chance = {argument!r}: allowed is 0 … 1")
+        if "then" not in value or ("else" not in value and relative is None):
+            raise SceneError(f"{where}: chance needs then = … and else = …")
+        for branch in ("then", "else"):
+            if branch in value:
+                check_distribution(value[branch], f"{where}.{branch}", limited)
+    else:
+        _check_range(kind, value, where, limited)
+
+
+def _check_range(kind: str, value: Layer, where: str, name: str | None) -> None:
+    pairs = [(kind, value[kind])] + ([("within", value.get("within"))] if kind == "normal" else [])
+    for key, pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2 or not all(_is_number(item) for item in pair):
+            raise SceneError(f"{where}: {key} = {pair!r}: expected two numbers")
+    low, high = value["within"] if kind == "normal" else value[kind]
+    if low > high:
+        raise SceneError(f"{where}: {pairs[-1][0]} = [{low:g}, {high:g}]: the first is above the second")
+    if kind == "log_uniform" and low <= 0:
+        raise SceneError(f"{where}: log_uniform = [{low:g}, {high:g}]: both must be above 0")
+    if kind == "integers" and not (isinstance(low, int) and isinstance(high, int)):
+        raise SceneError(f"{where}: integers = [{low:g}, {high:g}]: expected whole numbers")
+    if kind == "normal":
+        mean, deviation = value["normal"]
+        # Beyond four standard deviations less than one of ten thousand draws falls: such a range was not meant.
+        if deviation < 0 or mean + 4 * deviation < low or mean - 4 * deviation > high:
+            raise SceneError(f"{where}: normal = [{mean:g}, {deviation:g}] hardly ever falls within [{low:g}, {high:g}]")
+    for end in (low, high):
+        _check_value(end, where, name)
+
+
+def _check_value(value: Any, where: str, name: str | None) -> None:
+    """A single value against what the scene allows for the field."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise SceneError(f"{where} = {value}: expected a finite number")
+    if name is None:
+        return
+    if name in CHOICES and value not in CHOICES[name]:
+        raise SceneError(f"{where} = {value!r}: allowed for {name} are {', '.join(CHOICES[name])}{nearest(str(value), CHOICES[name])}")
+    if name in LIMITS and _is_number(value):
+        low, high = LIMITS[name]
+        unit = unit_of(name.rpartition(".")[2])
+        if not low <= value <= high:
+            raise SceneError(f"{where} = {value:g}: allowed for {name} is {low:g} … {high:g}{f' {unit}' if unit else ''}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def draw(value: Any, rng: np.random.Generator, number: int = 0, base: Any = None) -> Any:
+    """A value of a distribution that was checked: plain numbers, texts and lists.
+
+    Args:
+        number: Of what is drawn, for `cycle`.
+        base: What the field is without it, for `relative`.
+    """
+    if isinstance(value, list):
+        bases = base if isinstance(base, (list, tuple)) else [base] * len(value)
+        return [draw(item, rng, number, part) for item, part in zip(value, bases, strict=True)]
+    if not isinstance(value, dict):
+        return value
+    if isinstance(base, (list, tuple)) and value.get("relative"):
+        return [draw(value, rng, number, part) for part in base]
+    kind = next(key for key in value if key in DRAWS)
+    argument = value[kind]
+    if kind == "uniform":
+        drawn: Any = float(rng.uniform(*argument))
+    elif kind == "log_uniform":
+        drawn = float(np.exp(rng.uniform(*np.log(argument))))
+    elif kind == "integers":
+        drawn = int(rng.integers(argument[0], argument[1] + 1))
+    elif kind == "cycle":
+        drawn = argument[number % len(argument)]
+    elif kind == "choice":
+        weights = value.get("weights")
+        share = None if weights is None else np.array(weights, float) / sum(weights)
+        drawn = argument[int(rng.choice(len(argument), p=share))]
+    elif kind == "chance":
+        branch = "then" if rng.random() < argument else "else"
+        drawn = draw(value[branch], rng, number) if branch in value else {"times": 1.0, "plus": 0.0}[value["relative"]]
+    else:
+        low, high = value["within"]
+        drawn = next(
+            (x for x in rng.normal(argument[0], argument[1], TRIES).tolist() if low <= x <= high), min(max(argument[0], low), high)
+        )
+    if value.get("relative") == "times":
+        return drawn * base
+    if value.get("relative") == "plus":
+        return drawn + base
+    return drawn
+
+
+def check_fields(table: Mapping[str, Any], where: str, sections: tuple[str, ...] | None = None) -> None:
+    """Raises SceneError for a name that is no field of the scene (or of other `sections`), or a distribution that is wrong."""
+    if not isinstance(table, Mapping):
+        raise SceneError(f"{where} = {table!r}: expected a table of fields")
+    for name, value in table.items():
+        full = f"{where}.{name!r}"
+        kind: Any = Scene
+        for key in name.split("."):
+            if kind is None or not dataclasses.is_dataclass(kind) or key not in field_types(kind):  # type: ignore[arg-type]
+                known = [] if kind is None or not dataclasses.is_dataclass(kind) else list(field_types(kind))  # type: ignore[arg-type]
+                raise SceneError(f"{full}: unknown field{nearest(key, known)}")
+            kind = field_types(kind)[key]  # type: ignore[arg-type]
+            if typing.get_origin(kind) is tuple and dataclasses.is_dataclass(typing.get_args(kind)[0]):
+                kind = typing.get_args(kind)[0]
+        if dataclasses.is_dataclass(kind):
+            raise SceneError(f"{full}: is a whole table; name one field of it")
+        if sections is not None and name.split(".")[0] not in sections:
+            raise SceneError(f"{full}: here only {', '.join(sections)} may be drawn")
+        check_distribution(value, full, name)
+
+
+def draw_fields(table: Mapping[str, Any], rng: np.random.Generator, number: int = 0, base: Scene | None = None) -> Layer:
+    """A layer of a scene from distributions by full name; `base` is what "times" and "plus" refer to."""
+    layer: Layer = {}
+    lights = [dataclasses.asdict(light) for light in base.lights.lights] if base is not None else []
+    for name, value in table.items():
+        *path, key = name.split(".")
+        if path == ["lights", "lights"]:
+            for light in lights:
+                light[key] = draw(value, rng, number, light[key])
+            layer.setdefault("lights", {})["lights"] = [{k: v for k, v in light.items() if v is not None} for light in lights]
+            continue
+        target, current = layer, base
+        for step in path:
+            target = target.setdefault(step, {})
+            current = getattr(current, step) if current is not None else None
+        target[key] = draw(value, rng, number, getattr(current, key) if current is not None else None)
+    return layer
+
+
+def generator(seed: int, kind: int, *numbers: int) -> np.random.Generator:
+    """The generator of one of the things that are drawn."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(kind, *numbers)))
+
+
+# ---- plans ----
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of object: how many there are, and what they are like."""
+
+    name: str
+    count: int
+    fields: Mapping[str, Any]
+    split: str | None = None
+    """Row of the evaluation that its objects belong to, instead of the group's."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Objects and a way to press them."""
+
+    number: int
+    name: str
+    share: float
+    """Of the presses."""
+    motion: str
+    split: str
+    kinds: tuple[Kind, ...]
+    fields: Mapping[str, Any]
+    """Of the press; beats the plan's."""
+    objects_of: int | None = None
+    """Presses the objects of another group instead, of those that are trained on."""
+    train_share: float = 1.0
+    """Of its objects: these are trained on where `split` is another row."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan that was read and checked."""
+
+    name: str
+    resolution: tuple[int, int]
+    end_points: tuple[float, ...]
+    """Episodes of one press: each ends at a share of its approach, drawn between this and the next; ascending, 1 the whole."""
+    frames: Any
+    lead: Any
+    """Frames before first touch."""
+    hold: Any
+    """Frames after the end."""
+    unevenness: Any
+    """Of a press by hand: relative standard deviation of its speed."""
+    sensors: int
+    sensor_fields: Mapping[str, Any]
+    press_fields: Mapping[str, Any]
+    episode_fields: Mapping[str, Any]
+    modulus_scale: Any
+    shore_slope: Any
+    held_hardness: tuple[float, ...]
+    validation_share: float
+    groups: tuple[Group, ...]
+    mode: str = "baked"
+    spp: int = 12
+    digest: str = ""
+    """SHA-256 of all that stands in it."""
+
+
+_PLAN = {
+    "name", "resolution", "mode", "spp", "end_points", "frames", "lead", "hold", "unevenness", "sensors", "press", "episode", "relation",
+    "splits", "groups",
+}  # fmt: skip
+_GROUP = {"number", "name", "share", "motion", "split", "objects_of", "train_share", "press", "kinds"}
+_KIND = {"name", "count", "object", "split"}
+AFTER_BAKE = ("markers", "camera", "lights", "seed")
+"""What an episode may draw: a light field need not be measured again for it (`gelsim.generate` checks which fields of these)."""
+
+
+def plan_path(name: str) -> Path:
+    """A plan's file: a path that ends in .toml, or one of the plans that come along."""
+    if name.endswith(".toml"):
+        return Path(name)
+    inside = Path(__file__).parent / "_plans"
+    folder = inside if inside.is_dir() else Path(__file__).parent.parent / "scenes" / "plans"
+    known = sorted(path.stem for path in folder.glob("*.toml"))
+    if name not in known:
+        raise SceneError(f"--plan {name!r}: known are {', '.join(known)}, or a path ending in .toml{nearest(name, known)}")
+    return folder / f"{name}.toml"
+
+
+def load_plan(name: str) -> Plan:
+    """Reads and checks a plan.
+
+    Raises:
+        SceneError: It cannot be read, or something in it is unknown, impossible, or out of what a scene allows.
+    """
+    path = plan_path(name)
+    table = _read(path)
+    if "base" in table:
+        # One level deep: a table's keys beat those of the same table, everything else is replaced.
+        below = _read(plan_path(str(table.pop("base"))))
+        both = {key: below[key] | table[key] for key in table if isinstance(table[key], dict) and isinstance(below.get(key), dict)}
+        table = below | table | {key: value for key, value in both.items() if not any(kind in table[key] for kind in DRAWS)}
+    try:
+        return _plan(table)
+    except SceneError as error:
+        raise SceneError(f"plan {path.name}: {error}") from None
+
+
+def _read(path: Path) -> Layer:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"--plan {path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"--plan {path}: is not TOML: {error}") from None
+
+
+def _plan(table: Layer) -> Plan:
+    _known(table, _PLAN, "")
+    missing = sorted(_PLAN - {"mode", "spp", "relation", "splits", "lead", "hold", "unevenness"} - set(table))
+    if missing:
+        raise SceneError(f"{missing[0]} is missing")
+    sensors = dict(table["sensors"])
+    count = _whole(sensors.pop("count", 1), "sensors.count", 1, 1000)
+    check_fields(sensors, "sensors", ("sensor", "gel", "lights", "coating", "camera", "markers"))
+    check_fields(table["press"], "press", ("gel", "object", "contact", "press", "fidelity"))
+    check_fields(table["episode"], "episode", AFTER_BAKE)
+    relation, splits = table.get("relation", {}), table.get("splits", {})
+    _known(relation, {"modulus_scale", "shore_slope"}, "relation")
+    _known(splits, {"held_hardness", "validation_share"}, "splits")
+    drawn = {name: table.get(name, 0) for name in ("frames", "lead", "hold", "unevenness")}
+    drawn |= {name: relation.get(name, 1.0) for name in ("modulus_scale", "shore_slope")}
+    for name, value in drawn.items():
+        check_distribution(value, name)
+    ends = table["end_points"]
+    if not isinstance(ends, list) or not ends or not all(_is_number(e) and 0 < e <= 1 for e in ends) or ends != sorted(set(ends)):
+        raise SceneError(f"end_points = {ends!r}: expected ascending shares of the press, 0 to 1")
+    groups = tuple(_group(item, f"groups[{i}]") for i, item in enumerate(table["groups"]))
+    numbers = {group.number for group in groups if group.kinds}
+    for group in groups:
+        if (group.objects_of is None) == (not group.kinds) or (group.objects_of is not None and group.objects_of not in numbers):
+            raise SceneError(f"groups: {group.name!r} needs kinds of its own, or objects_of = a group that has some")
+    if not groups or sum(group.share for group in groups) <= 0:
+        raise SceneError("groups: their shares are all 0")
+    return Plan(
+        str(table["name"]),
+        convert(table["resolution"], tuple[int, int], "resolution"),
+        tuple(ends),
+        sensors=count,
+        sensor_fields=sensors,
+        press_fields=table["press"],
+        episode_fields=table["episode"],
+        held_hardness=tuple(splits.get("held_hardness", ())),
+        validation_share=_share(splits.get("validation_share", 0.1), "splits.validation_share"),
+        groups=groups,
+        digest=hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest(),
+        mode=str(table.get("mode", "baked")),
+        spp=_whole(table.get("spp", 12), "spp", 1, 65536),
+        **drawn,
+    )
+
+
+def _group(table: Layer, where: str) -> Group:
+    _known(table, _GROUP, where)
+    for name in ("number", "name", "share", "motion", "split"):
+        if name not in table:
+            raise SceneError(f"{where}: {name} is missing")
+    for name, allowed in (("motion", HUMAN_OR_ROBOT), ("split", SPLITS)):
+        if table[name] not in allowed:
+            raise SceneError(f"{where}: {name} = {table[name]!r}: allowed are {', '.join(allowed)}{nearest(str(table[name]), allowed)}")
+    check_fields(table.get("press", {}), f"{where}.press", ("gel", "object", "contact", "press"))
+    kinds = []
+    for i, item in enumerate(table.get("kinds", [])):
+        place = f"{where}.kinds[{i}]"
+        _known(item, _KIND, place)
+        fields = _by_full_name(item.get("object", {}), "object")
+        check_fields(fields, f"{place}.object")
+        if item.get("split") not in (None, *SPLITS):
+            raise SceneError(f"{place}: split = {item['split']!r}: allowed are {', '.join(SPLITS)}")
+        kinds.append(Kind(str(item.get("name", i)), _whole(item.get("count", 1), f"{place}.count", 1, 100000), fields, item.get("split")))
+    share = table["share"]
+    if not _is_number(share) or share < 0:
+        raise SceneError(f"{where}: share = {share!r}: expected a number of 0 or more")
+    return Group(
+        _whole(table["number"], f"{where}.number", 1, 5), str(table["name"]), float(share), table["motion"], table["split"], tuple(kinds),
+        table.get("press", {}), table.get("objects_of"), _share(table.get("train_share", 1.0), f"{where}.train_share"),
+    )  # fmt: skip
+
+
+def _by_full_name(table: Layer, prefix: str) -> Layer:
+    """Tables of fields as one, by dotted names; a distribution is a table too, but not of fields."""
+    flat: Layer = {}
+    for key, value in table.items():
+        name = f"{prefix}.{key}"
+        inner = isinstance(value, dict) and key in ("skin", "grains", "law_constants")
+        flat |= _by_full_name(value, name) if inner else {name: value}
+    return flat
+
+
+def _known(table: object, names: set[str], where: str) -> None:
+    if not isinstance(table, dict):
+        raise SceneError(f"{where}: expected a table")
+    for key in table:
+        if key not in names:
+            raise SceneError(f"unknown key {f'{where}.{key}' if where else key!r}{nearest(key, names)}")
+
+
+def _whole(value: object, where: str, low: int, high: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise SceneError(f"{where} = {value!r}: expected a whole number, {low} … {high}")
+    return value
+
+
+def _share(value: Any, where: str) -> float:
+    if not _is_number(value) or not 0 <= value <= 1:
+        raise SceneError(f"{where} = {value!r}: allowed is 0 … 1")
+    return float(value)
+
+
+# ---- what is drawn ----
+
+
+@dataclass(frozen=True)
+class DrawnObject:
+    """An object of a plan's catalogue."""
+
+    name: str
+    group: Group
+    kind: Kind
+    number: int
+    """Within its group."""
+    layer: Layer
+    trained: bool
+    """Presses of it by hand are trained on."""
+    split: str
+    """Of its presses by hand."""
+
+
+@dataclass(frozen=True)
+class Press:
+    """One mechanics run."""
+
+    number: int
+    group: Group
+    object: DrawnObject
+    sensor: int
+    scene: Scene
+    """How it is pressed at most; press.depth_mm and force_n bound it."""
+    split: str | None
+    """None: not part of any row."""
+
+
+@dataclass(frozen=True)
+class EpisodeDraw:
+    """What an episode takes of its press, and how it is seen."""
+
+    index: int
+    end: float
+    """Share of the press's approach at which it ends."""
+    frames: int
+    lead: int
+    hold: int
+    unevenness: float
+    rng: np.random.Generator
+    """For the trajectory."""
+    layer: Layer
+    """Of the scene, beside the press's own."""
+
+
+class Catalogue:
+    """A plan with a seed: everything that can be drawn from it, by number."""
+
+    def __init__(self, plan: Plan, seed: int) -> None:
+        self.plan, self.seed = plan, seed
+        shares = np.array([group.share for group in plan.groups])
+        self._shares = shares / shares.sum()
+        self._object = lru_cache(maxsize=None)(self._drawn_object)
+        self._sensor = lru_cache(maxsize=None)(self._drawn_sensor)
+
+    def objects(self, group: Group) -> int:
+        """How many objects a group has of its own."""
+        return sum(kind.count for kind in group.kinds)
+
+    def object(self, group: Group, number: int) -> DrawnObject:
+        """Object `number` of a group."""
+        return self._object(next(i for i, item in enumerate(self.plan.groups) if item is group), number)
+
+    def press(self, number: int) -> Press:
+        """Press `number`.
+
+        Raises:
+            SceneError: The plan drew a scene that contradicts itself.
+        """
+        plan, rng = self.plan, generator(self.seed, PRESS, number)
+        group = plan.groups[int(rng.choice(len(plan.groups), p=self._shares))]
+        owner = group if group.kinds else next(item for item in plan.groups if item.number == group.objects_of and item.kinds)
+        count = self.objects(owner)
+        chosen = int(rng.integers(count))
+        if group is not owner:
+            # The next one that is trained on: a row of its own may not show what no training saw.
+            chosen = next((k for k in ((chosen + j) % count for j in range(count)) if self.object(owner, k).trained), chosen)
+        thing = self.object(owner, chosen)
+        sensor = int(rng.integers(plan.sensors))
+        base = self._sensor(sensor)
+        layers = [self._sensor_layer(sensor), {"object": thing.layer}]
+        fields = {**plan.press_fields, **group.fields}
+        try:
+            layers.append(draw_fields(fields, rng, number, base))
+            depth = layers[-1].get("press", {}).get("depth_mm")
+            if thing.layer.get("rigid") and _is_number(depth):
+                layers[-1]["press"]["depth_mm"] = min(depth, RIGID_DEEPEST * base.gel.thickness_mm)
+            scale, slope = draw(plan.modulus_scale, rng, number), draw(plan.shore_slope, rng, number)
+            scene = _hardened(build_scene(*layers), scale, slope)
+        except GelsimError as error:
+            raise SceneError(f"plan {plan.name}, seed {self.seed}, press {number} ({group.name}): {error}") from None
+        return Press(number, group, thing, sensor, scene, self._split(group, owner, thing))
+
+    def episode(self, press: Press, end: int) -> EpisodeDraw:
+        """Episode `end` (of len(plan.end_points)) of a press."""
+        plan = self.plan
+        index = press.number * len(plan.end_points) + end
+        rng = generator(self.seed, EPISODE, index)
+        low = plan.end_points[end]
+        high = plan.end_points[end + 1] if end + 1 < len(plan.end_points) else low
+        share = float(rng.uniform(low, high)) if end + 1 < len(plan.end_points) else low
+        frames, lead, hold = (max(int(draw(value, rng, index)), 0) for value in (plan.frames, plan.lead, plan.hold))
+        uneven = float(draw(plan.unevenness, rng, index)) if press.group.motion == "human" else 0.0
+        layer = draw_fields(plan.episode_fields, rng, index, press.scene)
+        return EpisodeDraw(index, share, max(frames, lead + hold + 2), lead, hold, uneven, rng, layer)
+
+    def _split(self, group: Group, owner: Group, thing: DrawnObject) -> str | None:
+        if group is owner:
+            return thing.split
+        if not thing.trained:
+            return None
+        return thing.split if group.split == "train" else group.split
+
+    def _drawn_sensor(self, number: int) -> Scene:
+        rng = generator(self.seed, SENSOR, number)
+        fields = self.plan.sensor_fields
+        preset = draw(fields.get("sensor.preset", "fingertip2017"), rng, number)
+        base = build_scene({"sensor": {"preset": preset}})
+        layer = draw_fields({name: value for name, value in fields.items() if name != "sensor.preset"}, rng, number, base)
+        return build_scene({"sensor": {"preset": preset}}, layer)
+
+    def sensor_scene(self, number: int) -> Scene:
+        """A scene with a sensor of the pool and the plan's pictures: what a light field is measured with."""
+        return build_scene(self._sensor_layer(number))
+
+    def _sensor_layer(self, number: int) -> Layer:
+        sensor = self._sensor(number)
+        table: Layer = {"sensor": {"preset": sensor.sensor.preset}}
+        for name in ("gel", "camera", "lights", "coating", "markers"):
+            table[name] = _plain(dataclasses.asdict(getattr(sensor, name)))
+        table["render"] = {"mode": self.plan.mode, "spp": self.plan.spp, "resolution": list(self.plan.resolution)}
+        return table
+
+    def _drawn_object(self, which: int, number: int) -> DrawnObject:
+        plan, group = self.plan, self.plan.groups[which]
+        rest = number
+        for kind in group.kinds:
+            if rest < kind.count:
+                break
+            rest -= kind.count
+        rng = generator(self.seed, OBJECT, group.number, number)
+        layer = draw_fields(kind.fields, rng, number)["object"]
+        own = generator(self.seed, SPLIT, group.number, number)
+        held = layer.get("shore_00") in plan.held_hardness
+        first, second = own.random(2)
+        split = kind.split or group.split
+        if kind.split is None and group.split == "train" and held:
+            split = "novel_hardness"
+        elif kind.split is None and group.split != "train" and group.train_share < 1.0 and first < group.train_share and not held:
+            split = "train"
+        trained = split == "train"
+        if trained and second < plan.validation_share:
+            split = "validation"
+        return DrawnObject(f"g{group.number}-{number:04d}-{layer['shape']}", group, kind, number, layer, trained, split)
+
+
+def _plain(table: Layer) -> Layer:
+    """Without what is None: TOML and layers have no such thing."""
+    plain: Layer = {}
+    for key, value in table.items():
+        if value is None:
+            continue
+        if isinstance(value, (list, tuple)) and value and isinstance(value[0], dict):
+            value = [{k: v for k, v in item.items() if v is not None} for item in value]
+        plain[key] = list(value) if isinstance(value, tuple) else value
+    return plain
+
+
+def _hardened(scene: Scene, scale: float, slope: float) -> Scene:
+    """With the relation of hardness to modulus that was drawn, for gel and object alike."""
+    reference = scene.gel.shore_00
+    replaced = {}
+    for name in ("gel", "object"):
+        section: Any = getattr(scene, name)
+        factor = scale
+        if section.shore_00 is not None and reference is not None:
+            ratio = materials.modulus_from_shore_00(section.shore_00) / materials.modulus_from_shore_00(reference)
+            factor *= ratio ** (slope - 1.0)
+        if section.shore_00 is not None or section.shore_a is not None:
+            section = dataclasses.replace(section, modulus_scale=section.modulus_scale * factor)
+        if name == "object":
+            for part in ("skin", "grains"):
+                inner = getattr(section, part)
+                if inner.shore_00 is not None or inner.shore_a is not None:
+                    section = dataclasses.replace(section, **{part: dataclasses.replace(inner, modulus_scale=inner.modulus_scale * scale)})
+        replaced[name] = section
+    return scene.replace(**replaced)
