@@ -1,4 +1,4 @@
-"""The command line: `gelsim render | press | calibrate | bench | inspect | doctor` (what each writes: README.md).
+"""The command line: `gelsim render | press | calibrate | durometer | bench | inspect | doctor` (what each writes: README.md).
 
 Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved
 is kept. Nothing heavy is imported before a command needs it, so that --help is instant.
@@ -53,6 +53,13 @@ examples:
   gelsim render --sensor out/mine/sensor.toml --shape hemisphere --rigid --radius-mm 2 --depth-mm 0.8
 
 What the folder must hold and how far to trust the result: docs/calibrate.md."""
+DUROMETER_EXAMPLES = """\
+examples:
+  gelsim durometer --shore 30                       the modulus that reads 00-30
+  gelsim durometer --modulus-kpa 100 --friction 0   what a block of 100 kPa reads under a tip that slides
+  gelsim durometer --out out/durometer              the whole scale beside the published relations: table and plot
+
+A tip is pressed into a block of 12 mm by finite elements; how far to trust a reading: docs/physics.md."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -120,6 +127,18 @@ def _parser() -> Parser:
     calibrate.add_argument("--force", action="store_true", help="write over earlier files of these names")
     calibrate.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to render (default: auto)")
     _add_output_flags(calibrate, _calibrate)
+    durometer = commands.add_parser("durometer", help="the virtual durometer: Shore reading to modulus and back", epilog=DUROMETER_EXAMPLES)
+    wanted = durometer.add_mutually_exclusive_group()
+    wanted.add_argument("--modulus-kpa", type=float, metavar="E", help="Young's modulus of the block [kPa]: what does it read?")
+    wanted.add_argument("--shore", type=float, metavar="H", help="a reading: of which modulus?")
+    durometer.add_argument("--scale", choices=("00", "A"), default="00", help="type of durometer (default: 00)")
+    durometer.add_argument("--friction", choices=("0", "stick"), default="stick", help="of the tip on the block (default: stick)")
+    durometer.add_argument("--foot", action="store_true", help="with --shore: the foot rests on the block too, with the stand's dead load")
+    durometer.add_argument(
+        "--fidelity", choices=("fast", "balanced", "reference"), default="balanced", help="of the mesh (default: balanced)"
+    )
+    durometer.add_argument("--out", metavar="DIR", help="without a value: where durometer-SCALE.csv and .png go (default: only shown)")
+    _add_output_flags(durometer, _durometer)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
@@ -247,6 +266,35 @@ def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print(calibrate.summary(report))
     return report
+
+
+def _durometer(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim import durometer
+
+    friction: float | str = durometer.SMOOTH if options.friction == "0" else durometer.STICK
+    if options.modulus_kpa is None and options.shore is None:
+        with _progress() as progress:
+            rows = durometer.compare(options.scale, options.fidelity, progress=progress)
+        if options.out:
+            durometer.write(Path(options.out), rows, options.scale)
+        if not options.json:
+            print(durometer.summary(rows, options.scale))
+        return {"scale": options.scale, "rows": rows}
+    found: dict[str, Any] = {"scale": options.scale, "friction": options.friction, "foot": options.foot}
+    if options.shore is not None:
+        found["reading"] = options.shore
+        found["modulus_kpa"] = durometer.modulus(options.shore, options.scale, friction, options.fidelity, options.foot) / 1e3
+    elif options.foot:
+        raise SceneError("--foot goes with --shore: its press is searched for one reading")
+    else:
+        found["modulus_kpa"] = options.modulus_kpa
+        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity)
+    others = durometer.relations(found["reading"], options.scale)
+    found["relations_kpa"] = {name: None if each is None else each / 1e3 for name, each in others.items()}
+    if not options.json:
+        said = ", ".join(f"{name} {each:.4g}" for name, each in found["relations_kpa"].items() if each is not None)
+        print(f"Shore {options.scale} {found['reading']:.4g}: E = {found['modulus_kpa']:.4g} kPa (closed forms at that reading: {said})")
+    return found
 
 
 def _doctor(options: argparse.Namespace) -> dict[str, Any]:

@@ -191,6 +191,14 @@ def mirror(mesh: TetMesh, axis: str) -> TetMesh:
     return TetMesh(np.vstack([nodes, copy]), tets, both, mesh.symmetry - {axis}, np.tile(mesh.regions, 2))
 
 
+def flip(mesh: TetMesh, axis: str) -> TetMesh:
+    """The mirror image of a whole mesh in the plane `axis` = 0."""
+    nodes = mesh.rest_positions.copy()
+    nodes[:, AXES[axis]] *= -1.0
+    groups = {name: faces[:, _FACE_FLIP] for name, faces in mesh.groups.items()}
+    return TetMesh(nodes, mesh.tets[:, _TET_FLIP], groups, mesh.symmetry, mesh.regions)
+
+
 def mirror_surface(surface: QuadraticSurface, axis: str) -> QuadraticSurface:
     """A surface together with its mirror image in the plane `axis` = 0; nodes exactly on the plane are shared."""
     copy, image = _image(surface.nodes, axis)

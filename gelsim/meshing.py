@@ -38,6 +38,7 @@ from gelsim.geometry import (
     TET_EDGES,
     TetMesh,
     TriMesh,
+    flip,
     interface_faces,
     is_closed,
     jacobian_determinants,
@@ -106,14 +107,16 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
     edge = _contact_edge(scene, area)
     rims = _touching(scene, sharp_edges(scene.object))
     field = _field(area, -min(0.5 * thickness, 0.5 * min(area.high)), 0.0, edge, sizes, sizes.gel_far, rims)
-    planes = (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), 0), ((0, -1, 0), 0))
+    # A quarter, then its mirror images; along an axis at whose one side all the contact lies the whole, for its image would be wasted.
+    left, near = (end if side else 0.0 for side, end in zip(area.side, (x, y), strict=True))
+    planes = (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), left), ((0, -1, 0), near))
     block = Solid(
         tuple(Plane(normal, offset) for normal, offset in planes),
-        ("coated", "bonded", "side", "side", "x", "y"),
-        np.array([[i, j, k] for i in (0.0, x) for j in (0.0, y) for k in (-thickness, 0.0)]),
+        ("coated", "bonded", "side", "side", "side" if left else "x", "side" if near else "y"),
+        np.array([[i, j, k] for i in (-left, x) for j in (-near, y) for k in (-thickness, 0.0)]),
     )
     vertices, faces, _ = solid_surface(block, np.inf, np.inf)
-    fences = _fences(rims, field.rim)
+    fences = _fences(rims, field.rim, area)
     surface = TriMesh(np.vstack([vertices, fences.vertices]), np.vstack([faces, fences.faces + len(vertices)]).astype(np.int32))
     mesh = _cached_fill(surface, block, field, area.stretch, "the gel", progress)
     nodes = mesh.rest_positions.copy()
@@ -121,6 +124,8 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
     nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(scene.gel, nodes[:, :2])) - thickness)
     mesh = TetMesh(_unfolded(nodes, mesh.tets, 1.0), mesh.tets, mesh.groups, mesh.symmetry)
     _check(mesh, "the gel")
+    for axis, side in zip("xy", area.side, strict=True):
+        mesh = flip(mesh, axis) if side < 0 else mesh
     return _mirrored(mesh, symmetry)
 
 
@@ -137,12 +142,15 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
     edge = OBJECT_COARSER * _contact_edge(scene, area)
     within: tuple[Inclusion, ...] = ()
+    # As of the gel: no mirror image where one side alone is touched.
+    side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
     if body.shape == "mesh":
         surface, shape, stretch = load_mesh(body), None, 1.0
         narrow = float(np.ptp(surface.vertices, axis=0).min())
     else:
-        surface, shape, stretch = None, solid(body, shape_symmetry(body), _COARSE), area.stretch
-        within = inclusions(body, shape_symmetry(body), _COARSE)
+        cut = shape_symmetry(body) - {axis for axis, sign in zip("xy", side, strict=True) if sign}
+        surface, shape, stretch = None, solid(body, cut, _COARSE), area.stretch
+        within = inclusions(body, cut, _COARSE)
         narrow = float(np.ptp(solid(body).hull, axis=0).min())
     # Away from contact a tall object is a spring, but it needs two or three quadratic edges across to bend and stay round.
     far = max(edge, min(sizes.object_far, narrow / 2.5))
@@ -150,7 +158,7 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
     uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
-    box = replace(area, low=(0.0, 0.0)), 0.0, 0.5 * press_depth(scene) + uneven
+    box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, 0.5 * press_depth(scene) + uneven
     field = _field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
     inner: list[TriMesh] = []
     if surface is None:
@@ -160,6 +168,8 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
         )
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
     mesh = _cached_fill(surface, shape, field, stretch, label, progress, tuple(zip(within, inner, strict=True)))
+    for axis, sign in zip("xy", side, strict=True):
+        mesh = flip(mesh, axis) if sign < 0 else mesh
     return _mirrored(mesh, symmetry)
 
 
@@ -189,10 +199,11 @@ def _field(area: Footprint, bottom: float, top: float, edge: float, sizes: MeshS
     rounding = min(area.high) if area.round else 0.0
     rim = min(edge, sizes.rim if len(rims) or not len(seams[0]) else np.inf, seams[1])
     points = np.vstack([_cut(rims, rim).reshape(-1, 3), seams[0]])
-    folded = np.hstack([np.abs(points[:, :2]), points[:, 2:]])
+    folded = area.folded(points)
     _, first = np.unique(np.round(folded / (0.1 * rim)), axis=0, return_index=True)
     corners = (*area.low, bottom), (*area.high, top)
-    return SizeField(*corners, edge, sizes.growth, far, rounding, rim, sizes.rim_growth, folded[np.sort(first)])
+    mirrored = (not area.side[0], not area.side[1])
+    return SizeField(*corners, edge, sizes.growth, far, rounding, rim, sizes.rim_growth, folded[np.sort(first)], mirrored)
 
 
 def _cut(pieces: Array, longest: float) -> Array:
@@ -214,10 +225,10 @@ def _touching(scene: Scene, pieces: Array) -> Array:
     return placed
 
 
-def _fences(pieces: Array, depth: float) -> TriMesh:
-    """Upright strips below pieces (K, 2, 3) of the plane z = 0, folded into x, y >= 0: fTetWild keeps them, so edges lie along."""
-    folded = np.concatenate([np.abs(pieces[..., :2]), pieces[..., 2:]], axis=-1)
-    crosses = (pieces[:, 0, :2] * pieces[:, 1, :2] < -1e-18).any(axis=1)
+def _fences(pieces: Array, depth: float, area: Footprint) -> TriMesh:
+    """Upright strips below pieces (K, 2, 3) of the plane z = 0, folded as the area is: fTetWild keeps them, so edges lie along."""
+    folded = area.folded(pieces)
+    crosses = ((pieces[:, 0, :2] * pieces[:, 1, :2] < -1e-18) & (np.array(area.side) == 0)).any(axis=1)
     long = np.linalg.norm(folded[:, 1] - folded[:, 0], axis=1) > 1e-6
     tops = folded[long & ~crosses]
     _, first = np.unique(np.round(np.sort(tops, axis=1) * 1e9), axis=0, return_index=True)
@@ -248,7 +259,9 @@ def footprint(scene: Scene) -> Footprint:
     drawn = scene.object.shape in DRAWN and abs(scene.press.twist_deg) <= _ALONG
     stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
     round_area = scene.object.shape in TURNED and not any(low_class)
-    return Footprint((float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1])), stretch, round_area)
+    side_x, side_y = (int(np.sign(h)) if each else 0 for each, h in zip(low_class, low + high, strict=True))
+    corners = (float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1]))
+    return Footprint(*corners, stretch, round_area, (side_x, side_y))
 
 
 def mesh_report(mesh: TetMesh, parts: tuple[str, ...] = ()) -> dict[str, object]:

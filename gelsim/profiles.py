@@ -59,13 +59,13 @@ def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | 
     rims = rims[(rims[:, 1] < depth) & (rims[:, 0] < end * (1 - 1e-3))]
     bottom = -min(0.5 * scene.gel.thickness_mm * MM, 0.5 * half)
     gel = _field(half, bottom, 0.0, edge, sizes, sizes.gel_far, rims * [1.0, 0.0])
-    gel_mesh = _gel(scene, end, rims, lambda p: gel(p) / finer)
+    gel_mesh = gel_profile(scene, end, rims, lambda p: gel(p) / finer)
     body_edge = OBJECT_COARSER * edge
     across = max(segment.end[0] for segment in segments)
     far = max(body_edge, min(sizes.object_far, across / 1.25))
     body = _field(half, 0.0, 0.5 * depth, body_edge, sizes, far, rims)
     if scene.object.rigid:
-        return gel_mesh, _rigid(segments, lambda p: body(p) / finer)
+        return gel_mesh, rigid_profile(segments, lambda p: body(p) / finer)
     return gel_mesh, _object(segments, lambda p: body(p) / finer)
 
 
@@ -93,7 +93,8 @@ def _field(half: float, bottom: float, top: float, edge: float, sizes: MeshSizes
 
 
 # ---------------------------------------------------------------------------------------------------------------- the two bodies
-def _gel(scene: Scene, end: float, rims: Array, sizes: Sizes) -> PlanarMesh:
+def gel_profile(scene: Scene, end: float, rims: Array, sizes: Sizes) -> PlanarMesh:
+    """The gel from the axis to `end` [m]; its edges end below `rims` (K, 2)."""
     thickness = scene.gel.thickness_mm * MM
     stops = np.unique([0.0, *rims[:, 0], end])
     columns = [
@@ -155,8 +156,8 @@ def _object(segments: tuple[Segment, ...], sizes: Sizes) -> PlanarMesh:
     return PlanarMesh(nodes, triangles, {"base": edges[base], "contact": edges[~base & ~axis]})
 
 
-def _rigid(segments: tuple[Segment, ...], sizes: Sizes) -> PlanarMesh:
-    """Edges alone, from the apex up."""
+def rigid_profile(segments: Sequence[Segment], sizes: Sizes) -> PlanarMesh:
+    """The edges of a rigid body alone, from the apex up, no longer than `sizes` of their middles."""
     line: list[Array] = []
     for segment in segments:
         points = segment.samples()

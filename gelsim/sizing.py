@@ -43,6 +43,9 @@ class MeshSizes:
     finest: float
     coarsest_contact: float
     """Bounds of the edge length in contact: the gel's thickness wants two quadratic tets at least."""
+    most_edges: float
+    """Squares of the edge length over the contact area. A long or wide area would be resolved as a narrow one is: nine edges across, and as
+    long ones along all of it."""
     growth: float
     """Edge length gained per length away from the contact area."""
     rim: float
@@ -53,9 +56,9 @@ class MeshSizes:
 
 
 SIZES = {
-    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM),
-    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM),
-    "reference": MeshSizes(10.0, 0.12 * MM, 0.9 * MM, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM),
+    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM),
+    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM),
+    "reference": MeshSizes(10.0, 0.12 * MM, 0.9 * MM, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM),
 }
 
 
@@ -69,6 +72,13 @@ class Footprint:
     """How many times longer than wide tets may be along y."""
     round: bool = False
     """A disc (an ellipse's worth of rounded box) rather than a box."""
+    side: tuple[int, int] = (0, 0)
+    """Sign of the x, and of the y, at which all of it lies; 0 where it reaches over the middle."""
+
+    def folded(self, points: Array) -> Array:
+        """Points as `low` and `high` count them: on the area's side, or |x|, |y| where it has none."""
+        signs = np.array(self.side)
+        return np.concatenate([np.where(signs, signs * points[..., :2], np.abs(points[..., :2])), points[..., 2:]], axis=-1)
 
 
 def class_above(value: float) -> float:
@@ -85,12 +95,15 @@ def class_below(value: float) -> float:
 def contact_edge(area: Footprint, sizes: MeshSizes) -> float:
     """Edge length in contact [m]."""
     half = [(h - lo) / (2 if lo else 1) for lo, h in zip(area.low, area.high, strict=True)]
-    return float(np.clip(min(half[0], half[1]) / sizes.divisions, sizes.finest, sizes.coarsest_contact))
+    squares = np.prod([(h - lo) * (1 if lo else 2) for lo, h in zip(area.low, area.high, strict=True)]) / area.stretch
+    wanted = max(min(half[0], half[1]) / sizes.divisions, float(np.sqrt(squares / sizes.most_edges)))
+    return float(np.clip(wanted, sizes.finest, sizes.coarsest_contact))
 
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high], its upright edges rounded, and away from rims."""
+    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high], its upright edges rounded, and away from rims;
+    without the bars where it lies on one side."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -102,10 +115,12 @@ class SizeField:
     rim: float = np.inf
     rim_growth: float = 0.0
     rim_points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(K, 3), |x| and |y|, no farther apart than `rim`."""
+    """(K, 3), |x| and |y| where it is mirrored, no farther apart than `rim`."""
+    mirrored: tuple[bool, bool] = (True, True)
+    """Whether it is the same at -x, and at -y."""
 
     def __call__(self, points: Array) -> Array:
-        folded = np.concatenate([np.abs(points[..., :2]), points[..., 2:]], axis=-1)
+        folded = np.concatenate([np.where(self.mirrored, np.abs(points[..., :2]), points[..., :2]), points[..., 2:]], axis=-1)
         high = np.array(self.high) - [self.rounding, self.rounding, 0.0]
         away = np.maximum(np.maximum(self.low - folded, folded - high), 0.0)
         aside = np.maximum(np.hypot(away[..., 0], away[..., 1]) - self.rounding, 0.0)
@@ -125,7 +140,8 @@ class SizeField:
     def settings(self) -> tuple[object, ...]:
         """Everything it depends on, for a hash; a picometre does not matter."""
         rim = np.round(self.rim_points * 1e12).astype(np.int64).tolist()
-        return (self.low, self.high, self.contact, self.growth, self.far, self.rounding, self.rim, self.rim_growth, rim)
+        one_sided = () if all(self.mirrored) else (self.mirrored,)
+        return (self.low, self.high, self.contact, self.growth, self.far, self.rounding, self.rim, self.rim_growth, rim, *one_sided)
 
     def background(self, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int32], Array]:
         """A tetrahedral mesh over the bounding box, its points close where the field is small, and the field at the points."""
@@ -133,7 +149,7 @@ class SizeField:
         for axis in range(3):
             kinks = {float(lower[axis]), float(upper[axis])}
             for k in (self.low[axis], self.high[axis]):
-                kinks |= {k, -k} if axis < 2 else {k}
+                kinks |= {k, -k} if axis < 2 and self.mirrored[axis] else {k}
             stops = sorted(k for k in kinks if lower[axis] <= k <= upper[axis])
             line = [stops[0]]
             for a, b in zip(stops[:-1], stops[1:], strict=True):
@@ -149,7 +165,7 @@ class SizeField:
 
     def _along(self, axis: int, value: float) -> float:
         """The smallest field on the plane where coordinate `axis` is `value`, or a little less."""
-        v = abs(value) if axis < 2 else value
+        v = abs(value) if axis < 2 and self.mirrored[axis] else value
         size = min(self.far, self.contact + self.growth * max(self.low[axis] - v, v - self.high[axis], 0.0))
         if len(self.rim_points):
             size = min(size, self.rim + self.rim_growth * float(np.abs(self.rim_points[:, axis] - v).min()))

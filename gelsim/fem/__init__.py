@@ -24,6 +24,13 @@ CONTACT_POINTS = (6, 12)
 """Quadrature points on a face of the gel: as always, and where that failed."""
 
 
+def quiet_warp() -> None:
+    """Keeps Warp's greeting and its compiler's progress off the terminal; before anything of it is used."""
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+
+
 def solve_press(
     scene: Scene,
     gel: TetMesh,
@@ -52,9 +59,7 @@ def solve_press(
     Raises:
         SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
+    quiet_warp()
     from gelsim.fem.problem import PressProblem
     from gelsim.fem.quasistatic import run_press
 
@@ -95,9 +100,7 @@ def solve_batch(
         progress: Called with (presses done, presses).
         costs: A `batch.Costs`, filled with where the time went.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
+    quiet_warp()
     from gelsim.fem.batch import run_batch
     from gelsim.fem.problem import PressProblem
     from gelsim.materials import gel_material, object_materials
@@ -129,9 +132,7 @@ def differentiate_press(
     Raises:
         SceneError: The scene has friction or viscosity. SolveError: the press failed, or a state could not be refined.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
+    quiet_warp()
     from gelsim.fem.problem import PressProblem
     from gelsim.fem.sensitivity import press_sensitivity
     from gelsim.materials import gel_material, object_materials
@@ -161,9 +162,7 @@ def solve_planar(
     Raises:
         SolveError: As `solve_press`.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
+    quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
     from gelsim.fem.quasistatic import run_press
 

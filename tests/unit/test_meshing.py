@@ -231,6 +231,28 @@ def test_footprint_classes() -> None:
     assert moved.low[0] <= 4e-3 and moved.high[0] >= 10e-3 and moved.low[1] == 0.0
 
 
+def test_contact_on_one_side_is_meshed_there_alone() -> None:
+    """Beside the middle there is no mirror image of what is fine; the press at the other side has the same mesh, mirrored."""
+    right, left = (scene("hemisphere", "flat", offset_mm=(x, 0.0)) for x in (7.0, -7.0))
+    assert footprint(right).side == (1, 0) and footprint(left).side == (-1, 0)
+    mesh, other = (mesh_gel(each, frozenset("y"), QUIET) for each in (right, left))
+    assert mesh.symmetry == frozenset("y")
+    assert np.array_equal(other.rest_positions, mesh.rest_positions * [-1.0, 1.0, 1.0])
+    assert_whole(other)
+    assert volume(other) == pytest.approx(volume(mesh), rel=1e-12)
+    top = mesh.rest_positions[np.unique(mesh.groups["coated"])]
+    beside = [int((np.abs(top[:, 0] - x) < 2e-3).sum()) for x in (7e-3, -7e-3)]
+    # Edges grow by 0.9 of the way from the area, 4 to 10 mm, to 5 mm: at the other side they are that long, a twelfth of the points.
+    assert beside[0] > 6 * beside[1]
+    tilted = scene("cylinder", "flat", depth_mm=0.4, tilt_deg=(8.0, 0.0))
+    body = mesh_object(tilted, frozenset("x"), QUIET)
+    assert_whole(mesh_object(tilted, frozenset(), QUIET))
+    low = body.rest_positions[np.unique(body.groups["contact"])]
+    low = low[low[:, 2] < 1e-3]
+    ends = int((low[:, 1] > 5e-3).sum()), int((low[:, 1] < -5e-3).sum())
+    assert max(ends) > 2 * min(ends)
+
+
 def test_background_mesh_fills_its_box_and_carries_the_field() -> None:
     field = SizeField((0.0, 0.0, -1e-3), (2e-3, 3e-3, 0.0), 0.4e-3, 0.6, 3e-3)
     lower, upper = np.array([-1e-3, -1e-3, -3e-3]), np.array([13e-3, 13e-3, 1e-3])

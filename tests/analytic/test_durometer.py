@@ -1,0 +1,64 @@
+"""The virtual durometer against closed forms, and its two directions against each other."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from gelsim import cli, durometer, materials
+from gelsim.errors import GelsimError
+
+TIP = materials.TIP_RADIUS
+
+
+def test_a_shallow_ball_is_that_of_hertz_on_a_layer() -> None:
+    """d/R = 0.17 on 12 mm: Hertz, the approach longer by the layer's first-order share 0.567 F/(E* h), E* = 4 E/3, and softer by finite
+    strain, 1 - 0.15 d/R (Zhang et al. 2014)."""
+    depth = 0.2e-3
+    force = durometer.press_curve("00", durometer.SMOOTH, "fast").at(depth)
+    layer = 0.567 * force / (4 / 3 * durometer.BLOCK_MM * 1e-3)
+
+    def hertz(approach: float) -> float:
+        return 16 / 9 * TIP**0.5 * approach**1.5 * (1 - 0.15 * depth / TIP)
+
+    # Two corrections of 4.6 and 2.5 % whose products and second orders are left out, and a block of finite width: 3 % (found: -2.1 %; the
+    # mesh's own error is 0.1 %, from twice as fine ones).
+    assert force == pytest.approx(hertz(depth + layer), rel=0.03)
+    # Planted: the layer's share with the wrong sign.
+    assert force != pytest.approx(hertz(depth - layer), rel=0.03)
+
+
+def test_sneddons_ball_by_the_fact_sheet() -> None:
+    """E of docs' table at Shore 00 10, 30, 60 and 87 by Sneddon: 54.0, 121.4, 411.8, 2775.7 kPa; the last digit is half a unit."""
+    for shore, modulus_kpa in ((10, 54.01), (30, 121.4), (60, 411.8), (87, 2775.7)):
+        assert durometer.relations(shore, "00")["sneddon"] == pytest.approx(modulus_kpa * 1e3, rel=5e-4)
+
+
+def test_a_sticking_tip_needs_more_force_and_reads_softer_moduli() -> None:
+    slides, sticks = (durometer.modulus(40.0, "00", friction, "fast") for friction in (durometer.SMOOTH, durometer.STICK))
+    assert 1.01 * sticks < slides < 1.15 * sticks
+    # The relation of gelsim.materials lies within the 20 % that docs/physics.md gives it.
+    assert materials.modulus_from_shore_00(40.0) == pytest.approx(sticks, rel=0.2)
+
+
+def test_there_and_back() -> None:
+    assert durometer.reading(durometer.modulus(33.0, fidelity="fast"), fidelity="fast") == pytest.approx(33.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [["--shore", "101"], ["--shore", "3"], ["--modulus-kpa", "0.5"], ["--modulus-kpa", "nan"], ["--modulus-kpa", "50", "--foot"]],
+)
+def test_what_no_durometer_reads_is_one_line(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["durometer", "--fidelity", "fast", "--friction", "0", *flags]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_the_command_says_both_directions(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["durometer", "--shore", "30", "--fidelity", "fast", "--friction", "0", "--json"]) == 0
+    there = json.loads(capsys.readouterr().out)
+    assert cli.main(["durometer", "--modulus-kpa", str(there["modulus_kpa"]), "--fidelity", "fast", "--friction", "0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["reading"] == pytest.approx(30.0, abs=1e-6)
+    with pytest.raises(GelsimError):
+        durometer.modulus(30.0, "B")
