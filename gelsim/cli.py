@@ -1,7 +1,7 @@
-"""The command line: `gelsim render | press | calibrate | durometer | bench | inspect | doctor` (what each writes: README.md).
+"""The command line: `gelsim render | press | dataset | calibrate | durometer | bench | inspect | doctor` (what each writes: README.md).
 
 Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved
-is kept. Nothing heavy is imported before a command needs it, so that --help is instant.
+is kept; 4 part of a batch failed. Nothing heavy is imported before a command needs it, so that --help is instant.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, read_layer
 
+BAR = "{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}<{remaining} {rate_inv_fmt}"
 OK, INTERNAL, BAD_INPUT, NUMERICS, INTERRUPTED = 0, 1, 2, 3, 130
 
 ABOUT = """\
@@ -60,6 +61,13 @@ examples:
   gelsim durometer --out out/durometer              the whole scale beside the published relations: table and plot
 
 A tip is pressed into a block of 12 mm by finite elements; how far to trust a reading: docs/physics.md."""
+DATASET_EXAMPLES = """\
+examples:
+  gelsim dataset --plan paper2017 --episodes 300 --out out/data
+  gelsim dataset --plan paper2017 --episodes 7000 --out out/data --resume        goes on where it was killed, or with more
+  gelsim inspect out/data --out out/data.png
+
+Plans, what they draw, and what the folder holds: docs/datasets.md. Exit code 4: more than 1 % of the episodes failed."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -80,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
             if wants_json:
                 answer(result)
             sys.stdout.flush()
-            return OK
+            return result.get("exit_code", OK)
         except SolveError as error:
             return _fail(error, NUMERICS, debug, answer if wants_json else None)
         except GelsimError as error:
@@ -139,6 +147,15 @@ def _parser() -> Parser:
     )
     durometer.add_argument("--out", metavar="DIR", help="without a value: where durometer-SCALE.csv and .png go (default: only shown)")
     _add_output_flags(durometer, _durometer)
+    dataset = commands.add_parser("dataset", help="many episodes of a plan, for learning", epilog=DATASET_EXAMPLES)
+    dataset.add_argument("--plan", metavar="NAME", default="paper2017", help="a plan, or the path of a TOML file (default: paper2017)")
+    dataset.add_argument("--episodes", type=int, metavar="N", required=True, help="how many, counted from the first")
+    dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
+    dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
+    dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core)")
+    dataset.add_argument("--resume", action="store_true", help="go on in an existing folder: episodes that are done are kept")
+    dataset.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: one process, presses in batches (default: cpu)")
+    _add_output_flags(dataset, _dataset)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
@@ -297,6 +314,25 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
+def _dataset(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim import generate
+
+    with _progress() as progress:
+        report = generate.generate(
+            options.plan,
+            options.episodes,
+            Path(options.out),
+            seed=options.seed,
+            workers=options.workers,
+            resume=options.resume,
+            device=options.device,
+            progress=progress,
+        )
+    if not options.json:
+        print(generate.summary(report))
+    return report
+
+
 def _doctor(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim import doctor
 
@@ -320,7 +356,7 @@ def _progress() -> Iterator[Callable[[str, int, int], None] | None]:
         if stage not in bars:
             for bar in bars.values():
                 bar.close()
-            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, bar_format="{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}")
+            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, bar_format=BAR)
         bars[stage].n = done
         bars[stage].refresh()
 

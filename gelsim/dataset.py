@@ -3,11 +3,12 @@
     meta/info.json        schema, domain, frame rate, size of the pictures, where they come from
     meta/episodes.jsonl   a row an episode, ordered by index        meta/failures.jsonl   index, seed, status, message
     meta/splits.json      name -> indices                           meta/stats.json       of the pixels of the split `train`
-    episodes/00000/000123.tar   row.json, labels.npz, background.png, frames/0000.png …, and what else the maker gave (scene.toml, …)
+    episodes/00000/000123.tar   row.json, labels.npz, background.webp, frames/0000.webp …, and what else the maker gave (scene.toml, …)
 
 An episode is a file that is renamed when it is whole, so there is no half of one; its tar repeats its row, so meta/ can be written again
-from the episodes alone (`survey`). Nothing in a file depends on when, where or in which order it was written. Files come from strangers:
-sizes are bounded, names inside a tar are looked up and never unpacked, and nothing is unpickled. docs/datasets.md has the fields.
+from the episodes alone (`survey`). Pictures are lossless WebP, two thirds of PNG's size (docs/datasets.md); PNG is read too. Nothing in a
+file depends on when, where or in which order it was written. Files come from strangers: sizes are bounded, names inside a tar are looked up
+and never unpacked, and nothing is unpickled. docs/datasets.md has the fields.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ _ROW: dict[str, tuple[type, ...]] = {
     "peak_force_n": (float, int, type(None)), "mechanics": (str,), "sensor": (str,), "file": (str,),
 }  # fmt: skip
 """Every row has these; it may have more."""
-_LABELS = ("time", "approach", "force", "marker_pixels", "noise")
+_LABELS = {"time": np.float64, "approach": np.float64, "force": np.float64, "marker_pixels": np.float32, "noise": np.float64}
+"""As they are stored; a marker's place is kept to 1e-5 px."""
 
 
 class Dataset:
@@ -146,10 +148,10 @@ def write_episode(folder: Path, episode: Episode, members: Mapping[str, bytes] |
         raise DatasetError(f"episode {episode.row['index']}: its row says {episode.row['frames']} frames, it has {len(episode.frames)}")
     files = {
         "row.json": _dumped({"row": episode.row, "sums": _sums(episode)}),
-        "labels.npz": npz({name: getattr(episode, name) for name in _LABELS}),
-        "background.png": png(episode.background),
+        "labels.npz": npz({name: np.asarray(getattr(episode, name), kind) for name, kind in _LABELS.items()}),
+        "background.webp": webp(episode.background),
     }
-    files |= {f"frames/{number:04d}.png": png(frame) for number, frame in enumerate(episode.frames)}
+    files |= {f"frames/{number:04d}.webp": webp(frame) for number, frame in enumerate(episode.frames)}
     path = folder / episode.row["file"]
     write_tar(path, files | dict(members or {}))
     return path
@@ -165,10 +167,12 @@ def read_episode(path: Path) -> Episode:
         row = json.loads(_content(tar, names, "row.json"))["row"]
         check_row(row, f"{path}: row.json")
         with _npz(_content(tar, names, "labels.npz")) as file:
-            labels = {name: file[name] for name in _LABELS if name in file}
+            labels = {name: np.asarray(file[name], np.float64) for name in _LABELS if name in file}
         if "marker_pixels" in labels and labels["marker_pixels"].shape[1:2] > (MOST_MARKERS,):
             raise DatasetError(f"{path}: more than {MOST_MARKERS} markers")
-        pictures = [_picture(_content(tar, names, name)) for name in ["background.png", *(f"frames/{i:04d}.png" for i in range(count))]]
+        kind = "webp" if "background.webp" in names else "png"
+        wanted = [f"background.{kind}", *(f"frames/{i:04d}.{kind}" for i in range(count))]
+        pictures = [_picture(_content(tar, names, name)) for name in wanted]
         if len({picture.shape for picture in pictures}) > 1:
             raise DatasetError(f"{path}: its pictures are not of one size")
         return Episode(np.stack(pictures[1:]), pictures[0], row=row, **labels)
@@ -181,12 +185,12 @@ def read_members(path: Path, names: Sequence[str]) -> dict[str, bytes]:
         return {name: _content(tar, known, name) for name in names}
 
 
-def png(image: NDArray[np.uint8]) -> bytes:
+def webp(image: NDArray[np.uint8]) -> bytes:
     """A picture, lossless."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
+    Image.fromarray(image).save(buffer, format="WEBP", lossless=True, quality=40, method=3, exact=True)
     return buffer.getvalue()
 
 
@@ -201,7 +205,7 @@ def _picture(content: bytes) -> NDArray[np.uint8]:
     from PIL import Image
 
     # The header says how large it is; more is refused before it is unpacked.
-    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+    with Image.open(io.BytesIO(content), formats=("WEBP", "PNG")) as image:
         if image.width * image.height > MOST_PIXELS:
             raise DatasetError(f"a picture of {image.width} × {image.height} pixels; allowed are {MOST_PIXELS} in all")
         return np.array(image.convert("RGB"))

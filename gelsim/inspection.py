@@ -1,4 +1,4 @@
-"""What a result folder, a press.npz or a mesh file holds: in numbers, and as a drawing."""
+"""What a result folder, a dataset, a press.npz or a mesh file holds: in numbers, and as a drawing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gelsim.dataset import load_dataset
 from gelsim.errors import SceneError
 from gelsim.outputs import plain_json, read_press
 from gelsim.results import Deformation
@@ -22,14 +23,18 @@ def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
     """The facts about a path, as plain values.
 
     Args:
-        path: A result folder, a press.npz, or an STL, OBJ or PLY file.
+        path: A result folder, a dataset, a press.npz, or an STL, OBJ or PLY file.
         mesh_unit: What a mesh file's numbers are in.
     Raises:
         SceneError: It does not exist, or is none of these.
     """
-    if path.is_dir():
+    if _is_dataset(path):
+        from gelsim.dataset_sheet import dataset_facts
+
+        facts = {"kind": "dataset"} | dataset_facts(load_dataset(path))
+    elif path.is_dir():
         if not (path / "press.npz").exists():
-            raise SceneError(f"{path}: holds no press.npz, so it is no result of gelsim")
+            raise SceneError(f"{path}: holds no press.npz, and no meta/info.json: it is neither a result of gelsim nor a dataset")
         facts = _press_facts(read_press(path / "press.npz"))
         facts = {"kind": "result folder", "files": sorted(item.name for item in path.iterdir())} | facts
         if (path / "report.json").exists():
@@ -85,6 +90,11 @@ def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
     from gelsim import sheet
 
     out.parent.mkdir(parents=True, exist_ok=True)
+    if _is_dataset(path):
+        from gelsim.dataset_sheet import draw_dataset
+
+        draw_dataset(out, load_dataset(path))
+        return
     if path.suffix.lower() in MESH_SUFFIXES:
         mesh = _load_mesh(path)
         sheet.draw_surface(out, np.asarray(mesh.vertices) * MESH_UNITS[mesh_unit], np.asarray(mesh.faces), path.name)
@@ -92,6 +102,10 @@ def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
     folder = path if path.is_dir() else path.parent
     scene = load_scene(folder / "scene.toml") if (folder / "scene.toml").exists() else Scene()
     sheet.draw_mechanics(out, scene, read_press(folder / "press.npz" if path.is_dir() else path))
+
+
+def _is_dataset(path: Path) -> bool:
+    return (path / "meta" / "info.json").is_file()
 
 
 def _press_facts(press: Deformation) -> dict[str, Any]:

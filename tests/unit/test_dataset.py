@@ -31,7 +31,7 @@ def make(index: int = 0, count: int = 3, **fields: Any) -> Episode:
     pictures = rng.integers(0, 256, (count + 1, 12, 16, 3), np.uint8)
     return Episode(
         pictures[1:], pictures[0], np.arange(count) / 30, np.full(count, np.nan), np.full((count, 3), np.nan),
-        rng.uniform(0, 12, (count, 2, 2)), row | fields, noise=rng.uniform(0, 1, (3, 3)),
+        rng.integers(0, 96, (count, 2, 2)) / 8, row | fields, noise=rng.uniform(0, 1, (3, 3)),
     )  # fmt: skip
 
 
@@ -51,6 +51,21 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         for name in ("frames", "background", "time", "approach", "force", "marker_pixels", "noise"):
             np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
     assert data.member(0, "scene.toml") == b"seed = 0\n"
+
+
+def test_png_is_read_too(tmp_path: Path) -> None:
+    from PIL import Image
+
+    made = make()
+    path = write_episode(tmp_path, made)
+    with tarfile.open(path) as tar:
+        files = {member.name: tar.extractfile(member).read() for member in tar}  # type: ignore[union-attr]
+    for name in [name for name in files if name.endswith(".webp")]:
+        buffer = io.BytesIO()
+        Image.open(io.BytesIO(files.pop(name))).save(buffer, format="PNG")
+        files[name.replace(".webp", ".png")] = buffer.getvalue()
+    write_tar(path, files)
+    np.testing.assert_array_equal(read_episode(path).frames, made.frames)
 
 
 def test_statistics_are_those_of_the_train_split(tmp_path: Path) -> None:
@@ -147,10 +162,10 @@ def test_damaged_and_hostile_episodes_are_one_clear_error(tmp_path: Path, monkey
         rewritten(path, "labels.npz", buffer.getvalue())
         refused("damaged")
         path.write_bytes(whole)
-    rewritten(path, "frames/0001.png", b"no picture")
+    rewritten(path, "frames/0001.webp", b"no picture")
     refused("damaged")
     path.write_bytes(whole)
-    rewritten(path, "frames/0001.png", dataset.png(np.zeros((2, 2, 3), np.uint8)))
+    rewritten(path, "frames/0001.webp", dataset.webp(np.zeros((2, 2, 3), np.uint8)))
     refused("not of one size")
     path.write_bytes(whole[: len(whole) // 2])
     refused("damaged|missing")
@@ -162,7 +177,7 @@ def test_damaged_and_hostile_episodes_are_one_clear_error(tmp_path: Path, monkey
     refused("bytes; allowed")
     monkeypatch.undo()
     with tarfile.open(path, "w") as tar:
-        link = tarfile.TarInfo("frames/0000.png")
+        link = tarfile.TarInfo("frames/0000.webp")
         link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
         tar.addfile(link)
     refused("row.json is missing")

@@ -1,0 +1,114 @@
+"""The light of episodes: one light field a sensor of the pool, changed by episode in what costs no new one.
+
+Components of a field belong to single lights (`gelsim.lightfield`), so the power and colour of each may change afterwards: a light's colour
+rows are multiplied by power and colour over what they were when it was measured, exactly. The veil, which the window throws back, is known
+for all lights together: it is multiplied by channel by what the lights together became. Exposure, white balance, tone, shading, noise and
+markers come after the field anyway.
+
+In the modes "path" and "direct" every episode is traced with its own lights; that takes long, and needs no field.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.errors import SceneError
+from gelsim.lightfield import LightField
+from gelsim.results import Membrane
+from gelsim.scene import Camera, Scene
+
+QUIET: dict[str, Any] = {"noise_sd": (0.0, 0.0, 0.0), "full_well": (0.0, 0.0, 0.0), "read_noise": (0.0, 0.0, 0.0)}
+"""A camera without noise: what is stored; noise is drawn while training."""
+AT_ONCE = 16
+"""Frames drawn in one launch."""
+
+
+class Studio:
+    """Draws membranes for many scenes of few sensors; keeps their light fields."""
+
+    def __init__(self, device: str = "cpu") -> None:
+        from gelsim import optics
+
+        self._variant = optics.choose_variant(device)
+        self._fields: dict[str, LightField] = {}
+
+    def field(self, sensor: Scene) -> LightField:
+        """Of the cache, or measured now: a few minutes of all cores."""
+        from gelsim.optics import bake
+
+        key = bake.field_key(sensor)
+        if key not in self._fields:
+            self._fields[key] = bake.light_field(sensor, self._variant, lambda *_: None)
+        return self._fields[key]
+
+    def pictures(self, scene: Scene, sensor: Scene, membranes: list[Membrane]) -> list[NDArray[np.uint8]]:
+        """The membranes as the scene's camera sees them, without noise.
+
+        Args:
+            sensor: The scene with the lights that the field was measured with.
+        """
+        quiet = scene.replace(camera=replace(scene.camera, **QUIET))
+        if scene.render.mode != "baked":
+            from gelsim import optics
+
+            return [frame.image for frame in optics.render_frames(quiet, membranes, variant=self._variant)]
+        from gelsim.optics.baked import BakedRenderer
+        from gelsim.optics.isp import develop
+
+        renderer = BakedRenderer(quiet, relit(self.field(sensor), sensor, scene), self._variant)
+        drawn = []
+        for first in range(0, len(membranes), AT_ONCE):
+            some = membranes[first : first + AT_ONCE]
+            # Always the same number: what is compiled for one batch serves all.
+            full = some + [some[-1]] * (AT_ONCE - len(some))
+            drawn += [develop(quiet, radiance) for radiance, _ in renderer.pictures(full)[: len(some)]]
+        return drawn
+
+
+def is_measured(sensor: Scene) -> bool:
+    """Whether the sensor's light field lies in the cache."""
+    from gelsim.optics import bake
+
+    return Path(bake.field_path(sensor)).is_file()
+
+
+def noise_of(camera: Camera) -> NDArray[np.float64]:
+    """The camera's noise as an episode has it, (3, 3)."""
+    return np.array([getattr(camera, name) for name in QUIET])
+
+
+def relit(field: LightField, before: Scene, after: Scene) -> LightField:
+    """The field with the powers and colours of another scene's lights, which stand where they stood.
+
+    Raises:
+        SceneError: The lights differ in more than power and colour, or something else that the field was measured for does.
+    """
+    from gelsim.optics import bake
+
+    old, new = before.lights.lights, after.lights.lights
+    same = after.replace(lights=replace(after.lights, lights=tuple(_dark(light) for light in new)))
+    if bake.field_key(same) != bake.field_key(before.replace(lights=replace(before.lights, lights=tuple(_dark(light) for light in old)))):
+        raise SceneError(
+            "an episode may change the powers and colours of the lights, markers, and the camera after the lens; it changed more"
+        )
+    gains = np.array([np.array(n.rgb) * n.power / np.maximum(np.array(o.rgb) * o.power, 1e-12) for o, n in zip(old, new, strict=True)])
+    used = field.light_of >= 0
+    colours = field.colours.copy()
+    colours[used] *= gains[field.light_of[used]].astype(np.float32)
+    # What the lights together send onto the flat membrane, by channel, before and after.
+    middle = field.table.shape[3] // 2
+    sent = field.table[0, :, :, middle, middle].mean(axis=(0, 1))
+    ratio = (sent @ colours) / np.maximum(sent @ field.colours, 1e-12)
+    veil = field.veil.copy()
+    veil[..., :3] *= ratio
+    return replace(field, colours=colours, veil=veil)
+
+
+def _dark(light: Any) -> Any:
+    return dataclasses.replace(light, power=1.0, rgb=(1.0, 1.0, 1.0), peak_nm=None, width_nm=None)

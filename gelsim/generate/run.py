@@ -1,0 +1,308 @@
+"""`gelsim dataset`: the episodes of a plan, whole or not at all.
+
+Press i and its episodes depend on plan, seed and i alone. What is done is known from the episodes on the disk; a run that was killed goes
+on with what is missing. Presses that cannot be solved are listed in meta/failures.jsonl with their status, and count: above MOST_FAILED of
+the episodes the command says so by its exit code. meta/seconds.jsonl, alone, differs from run to run.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from gelsim.dataset import SCHEMA, Survey, survey, write_episode, write_meta
+from gelsim.errors import DatasetError, GelsimError, SceneError
+from gelsim.generate import recording
+from gelsim.generate.light import Studio, is_measured
+from gelsim.generate.workers import Done, Handful, WorkError, work_through
+from gelsim.randomize import SPLITS, Catalogue, load_plan
+from gelsim.scene import Scene
+
+Progress = Callable[[str, int, int], None]
+
+MOST_FAILED = 0.01
+"""Of the episodes asked for."""
+NUMERICAL = (
+    "MAX_ITERATIONS",
+    "LINE_SEARCH_STALLED",
+    "INVERTED_ELEMENT",
+    "NONFINITE",
+    "NO_MOTION",
+    "SceneError",
+    "MeshingError",
+    "SolveError",
+)
+"""Failures that would come again; others (DIED, TIMEOUT) are tried again by --resume."""
+MANIFEST_SECONDS = 20.0
+BATCH = 64
+"""Presses solved side by side on a GPU."""
+VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
+
+
+def generate(
+    plan: str,
+    episodes: int,
+    out: Path,
+    *,
+    seed: int = 0,
+    workers: int | None = None,
+    resume: bool = False,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Makes a dataset; returns what the command reports.
+
+    Args:
+        plan: Name of a plan that comes along, or path of a TOML file.
+        episodes: How many, counted from index 0; with `resume` it may be more than before.
+        workers: Processes; one per core by default.
+        device: "cpu", or "cuda": one process, presses in batches.
+    Raises:
+        SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
+            what was done is kept.
+    """
+    catalogue = Catalogue(load_plan(plan), seed)
+    if episodes < 1:
+        raise SceneError(f"--episodes {episodes}: expected 1 or more")
+    if workers is not None and not 1 <= workers <= 1024:
+        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
+    if device not in ("cpu", "cuda"):
+        raise SceneError(f"--device {device}: allowed for a dataset are cpu and cuda")
+    count = 1 if device == "cuda" else workers or os.cpu_count() or 1
+    start = time.perf_counter()
+    info = _info(catalogue)
+    book = _Book(out, info, resume)
+    ends = len(catalogue.plan.end_points)
+    wanted = {number: [end for end in range(ends) if number * ends + end < episodes] for number in range(-(-episodes // ends))}
+    todo = {
+        number: missing
+        for number, of_press in wanted.items()
+        if (missing := [end for end in of_press if number * ends + end not in book.known])
+    }
+    book.write()
+    total, before = episodes, sum(len(of_press) for of_press in wanted.values()) - sum(len(of_press) for of_press in todo.values())
+    if todo:
+        presses = {number: catalogue.press(number) for number in todo}
+        if catalogue.plan.mode == "baked":
+            _measure_lights([catalogue.sensor_scene(n) for n in sorted({press.sensor for press in presses.values()})], device, progress)
+        numbers = list(todo)
+        size = BATCH if device == "cuda" else 1
+        handfuls = [tuple(numbers[i : i + size]) for i in range(0, len(numbers), size)]
+
+        def lost(handful: Handful, status: str, message: str) -> Done:
+            return Done(handful, failures=[failure(catalogue, n, todo[n], status, message) for n in handful])
+
+        arguments = (plan, seed, out, todo, device)
+        try:
+            for done in work_through(handfuls, count, make_worker, arguments, lost):
+                book.add(done)
+                if done.error:
+                    raise WorkError(done.error)
+                if progress:
+                    progress("episodes", book.count(episodes), total)
+        except BaseException:
+            book.write(quietly=True)
+            raise
+        book.write()
+    failed = [row for row in book.failures.values() if row["index"] < episodes]
+    seconds = time.perf_counter() - start
+    made = book.count(episodes) - len(failed)
+    return {
+        "out": str(out), "plan": catalogue.plan.name, "seed": seed, "episodes": made, "failed": len(failed), "asked": episodes,
+        "failures": failed[:20], "exit_code": 4 if len(failed) > MOST_FAILED * episodes else 0, "workers": count,
+        "seconds": round(seconds, 1), "episodes_per_hour": round(3600 * (episodes - before) / max(seconds, 1e-9), 1),
+        "splits": {name: len(members) for name, members in book.splits().items()},
+    }  # fmt: skip
+
+
+def summary(report: dict[str, Any]) -> str:
+    """A report in a few lines for people."""
+    splits = ", ".join(f"{name} {count}" for name, count in report["splits"].items() if count)
+    lines = [
+        f"{report['out']}: {report['episodes']} of {report['asked']} episodes ({splits})",
+        f"{report['seconds']:.0f} s with {report['workers']} workers, {report['episodes_per_hour']:.0f} episodes/h",
+    ]
+    if report["failed"]:
+        first = report["failures"][0]
+        lines.append(f"{report['failed']} failed (meta/failures.jsonl), such as {first['index']}: {first['status']}, {first['message']}")
+    return "\n".join(lines)
+
+
+def failure(catalogue: Catalogue, number: int, ends: Sequence[int], status: str, message: str) -> dict[str, Any]:
+    """The line of meta/failures.jsonl of a press's first missing episode; the others of the press follow by index."""
+    index = number * len(catalogue.plan.end_points)
+    return {"index": index + ends[0], "indices": [index + end for end in ends], "seed": catalogue.seed, "press": number,
+            "status": status, "message": message}  # fmt: skip
+
+
+# ---- in a worker ----
+
+
+def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], device: str) -> Callable[[Handful], Done]:
+    """What a worker process does with presses: mechanics, light, files."""
+    catalogue, studio = Catalogue(load_plan(plan), seed), Studio(device)
+
+    def work(handful: Handful) -> Done:
+        done = Done(handful)
+        try:
+            presses = [catalogue.press(number) for number in handful]
+            start = time.perf_counter()
+            for press, solved in zip(presses, recording.solve(presses, device), strict=True):
+                ends = todo[press.number]
+                if isinstance(solved, recording.PressFailed):
+                    done.failures.append(failure(catalogue, press.number, ends, solved.status, str(solved)))
+                    continue
+                light = 0.0
+                mechanics, start = time.perf_counter() - start, time.perf_counter()
+                for end in ends:
+                    made = recording.record(catalogue, press, end, solved.motion, studio)
+                    light += time.perf_counter() - start
+                    path = write_episode(out, made.episode, made.members)
+                    done.rows.append((made.episode.row, _sums_of(path)))
+                    start = time.perf_counter()
+                done.seconds.append({
+                    "press": press.number, "shape": press.scene.object.shape, "episodes": len(ends), "states": len(solved.motion.approach),
+                    "mechanics": round(mechanics, 3), "light": round(light, 3), "stages": solved.seconds,
+                })  # fmt: skip
+        except GelsimError as error:
+            done.error = str(error)
+        return done
+
+    return work
+
+
+def _sums_of(path: Path) -> dict[str, Any]:
+    from gelsim.dataset import read_members
+
+    return json.loads(read_members(path, ["row.json"])["row.json"])["sums"]
+
+
+def _measure_lights(sensors: list[Scene], device: str, progress: Progress | None) -> None:
+    """Light fields that are not in the cache yet: before the workers start, for each takes all cores."""
+    missing = [scene for scene in sensors if not is_measured(scene)]
+    for done, scene in enumerate(missing):
+        if progress:
+            progress("light fields", done, len(missing))
+        Studio(device).field(scene)
+    if missing and progress:
+        progress("light fields", len(missing), len(missing))
+
+
+# ---- the folder ----
+
+
+class _Book:
+    """What is done, in memory and in meta/."""
+
+    def __init__(self, out: Path, info: dict[str, Any], resume: bool) -> None:
+        self.out, self.info = out, info
+        self.rows: dict[int, dict[str, Any]] = {}
+        self.sums: dict[int, dict[str, Any]] = {}
+        self.failures: dict[int, dict[str, Any]] = {}
+        if out.exists() and not out.is_dir():
+            raise SceneError(f"--out {out}: is a file, not a folder")
+        try:
+            filled = out.is_dir() and any(out.iterdir())
+        except OSError as error:
+            raise SceneError(f"--out {out}: cannot be read ({error.strerror})") from None
+        if filled:
+            self._resume(resume)
+        self._written = time.monotonic()
+
+    def _resume(self, resume: bool) -> None:
+        if not resume:
+            raise SceneError(f"--out {self.out}: the folder is not empty; give --resume to go on, or another name")
+        path = self.out / "meta" / "info.json"
+        try:
+            earlier = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise SceneError(f"--resume {self.out}: holds files but no dataset ({error}); give another folder") from None
+        for name in ("schema", "plan", "plan_sha256", "seed"):
+            if earlier.get(name) != ({"schema": SCHEMA} | self.info).get(name):
+                told = "the plan has changed since" if name == "plan_sha256" else f"its {name} is {earlier.get(name)!r}"
+                raise SceneError(f"--resume {self.out}: {told}; give another folder")
+        found = survey(self.out)
+        self.rows = {row["index"]: row for row in found.rows}
+        self.sums = found.sums
+        try:
+            lines = (self.out / "meta" / "failures.jsonl").read_text(encoding="utf-8").splitlines()
+            kept = [row for row in map(json.loads, lines) if row["status"] in NUMERICAL]
+        except (OSError, ValueError, KeyError) as error:
+            raise SceneError(f"--resume {self.out}: meta/failures.jsonl is damaged ({error}); remove it") from None
+        self.failures = {row["index"]: row for row in kept}
+
+    @property
+    def known(self) -> set[int]:
+        """Episodes that need no work: done, or known to fail."""
+        return set(self.rows) | set(self.failures)
+
+    def count(self, episodes: int) -> int:
+        return sum(index < episodes for index in self.known)
+
+    def add(self, done: Done) -> None:
+        for row, sums in done.rows:
+            self.rows[row["index"]], self.sums[row["index"]] = row, sums
+            self.failures.pop(row["index"], None)
+        for item in done.failures:
+            for index in item["indices"]:
+                self.failures[index] = {key: value for key, value in item.items() if key != "indices"} | {"index": index}
+        if done.seconds:
+            self._note(done.seconds)
+        if done.failures or time.monotonic() - self._written > MANIFEST_SECONDS:
+            self.write()
+
+    def splits(self) -> dict[str, list[int]]:
+        return {name: [index for index, row in sorted(self.rows.items()) if row.get("split") == name] for name in SPLITS}
+
+    def write(self, quietly: bool = False) -> None:
+        """Writes meta/. `quietly`: after an error, which is the one to be told."""
+        rows = [self.rows[index] for index in sorted(self.rows)]
+        try:
+            write_meta(self.out, self.info, Survey(rows, self.sums), self.failures.values(), self.splits())
+        except DatasetError:
+            if not quietly:
+                raise
+        self._written = time.monotonic()
+
+    def _note(self, seconds: Iterable[dict[str, Any]]) -> None:
+        try:
+            with (self.out / "meta" / "seconds.jsonl").open("a", encoding="utf-8") as file:
+                file.writelines(json.dumps(row) + "\n" for row in seconds)
+        except OSError as error:
+            raise DatasetError(f"{self.out}/meta/seconds.jsonl: cannot be written ({error.strerror})") from None
+
+
+def _info(catalogue: Catalogue) -> dict[str, Any]:
+    width, height = catalogue.plan.resolution
+    return {
+        "domain": "sim", "fps": catalogue.sensor_scene(0).camera.fps, "resolution": [width, height], "noise": "none",
+        "plan": catalogue.plan.name,
+        "plan_sha256": catalogue.plan.digest, "seed": catalogue.seed,
+        "versions": dict(_versions()), "features": features(width, height),
+    }  # fmt: skip
+
+
+def features(width: int, height: int) -> dict[str, dict[str, Any]]:
+    """What an episode holds."""
+    return {
+        "frames": {"dtype": "uint8", "shape": ["N", height, width, 3], "unit": "sRGB"},
+        "background": {"dtype": "uint8", "shape": [height, width, 3], "unit": "sRGB"},
+        "time": {"dtype": "float64", "shape": ["N"], "unit": "s"},
+        "approach": {"dtype": "float64", "shape": ["N"], "unit": "m"},
+        "force": {"dtype": "float64", "shape": ["N", 3], "unit": "N"},
+        "marker_pixels": {"dtype": "float64", "shape": ["N", "K", 2], "unit": "px"},
+        "noise": {"dtype": "float64", "shape": [3, 3], "unit": "levels of 255; electrons; share of white"},
+    }
+
+
+def _versions() -> Iterator[tuple[str, str | None]]:
+    for name in VERSIONS_OF:
+        try:
+            yield name, importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            yield name, None

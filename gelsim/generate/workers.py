@@ -1,0 +1,145 @@
+"""Local worker processes: each is handed some presses at a time, so that whose press ended a worker is known.
+
+A worker that dies, or takes longer than SECONDS, is replaced and its presses are listed; a worker whose parent is gone ends itself. Results
+do not depend on which worker made them, nor on how many there are.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from gelsim.errors import GelsimError
+
+SECONDS = 1800.0
+"""Allowed for a handful of presses."""
+STARTS = 3
+"""Workers that may die before they did anything, one after the other."""
+
+Handful = tuple[int, ...]
+
+
+class WorkError(GelsimError):
+    """Work cannot go on: the disk is full, or no worker starts."""
+
+
+@dataclass
+class Done:
+    """What came of a handful of presses."""
+
+    handful: Handful
+    rows: list[tuple[dict[str, Any], dict[str, Any]]] = field(default_factory=list)
+    """Row and pixel sums of each episode written."""
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    seconds: list[dict[str, Any]] = field(default_factory=list)
+    """Of each press, by stage."""
+    error: str | None = None
+    """What ends everything."""
+
+
+Work = Callable[[Handful], Done]
+
+
+class _Worker:
+    def __init__(self, make: Callable[..., Work], arguments: tuple[Any, ...]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, other = context.Pipe()
+        self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid()), daemon=True)
+        self.process.start()
+        other.close()
+        self.handful: Handful | None = None
+        self.since = time.monotonic()
+        self.worked = False
+
+    def give(self, handful: Handful) -> None:
+        self.handful, self.since = handful, time.monotonic()
+        try:
+            self.pipe.send(handful)
+        except OSError:
+            pass  # it is dead already; waiting for it will say so
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+def work_through(
+    handfuls: Sequence[Handful],
+    count: int,
+    make: Callable[..., Work],
+    arguments: tuple[Any, ...],
+    lost: Callable[[Handful, str, str], Done],
+) -> Iterator[Done]:
+    """Lets `count` processes do all handfuls; yields each as it is done, in whatever order.
+
+    Args:
+        make: A function of a module that makes, from `arguments`, what does the work; called once in each process.
+        lost: Says what becomes of a handful (status, message) whose process died or took too long.
+    Raises:
+        WorkError: Workers die before they begin.
+    """
+    left = deque(handfuls)
+    workers = [_Worker(make, arguments) for _ in range(min(count, len(left)))]
+    still_born = 0
+    try:
+        for worker in workers:
+            worker.give(left.popleft())
+        while busy := [worker for worker in workers if worker.handful is not None]:
+            ready = wait([worker.pipe for worker in busy], timeout=1.0)
+            for worker in busy:
+                died, late = None, time.monotonic() - worker.since > SECONDS
+                if worker.pipe in ready:
+                    try:
+                        done = worker.pipe.recv()
+                    except (EOFError, OSError):
+                        worker.process.join(10.0)
+                        died = f"its process ended with code {worker.process.exitcode}"
+                    else:
+                        still_born, worker.worked, worker.handful = 0, True, None
+                        yield done
+                elif not late:
+                    continue
+                if died or (late and worker.handful is not None):
+                    assert worker.handful is not None
+                    still_born += 0 if worker.worked else 1
+                    if still_born >= STARTS:
+                        raise WorkError(
+                            f"{STARTS} worker processes ended before they had done anything; the last: {died or 'took too long'}"
+                        )
+                    worker.end()
+                    yield lost(worker.handful, "DIED" if died else "TIMEOUT", died or f"not done after {SECONDS:g} s")
+                    fresh = _Worker(make, arguments)
+                    workers[workers.index(worker)] = worker = fresh
+                if left and worker.handful is None:
+                    worker.give(left.popleft())
+    finally:
+        for worker in workers:
+            worker.end()
+
+
+def _serve(pipe: Connection, make: Callable[..., Work], arguments: tuple[Any, ...], parent: int) -> None:
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    work = make(*arguments)
+    while True:
+        try:
+            handful = pipe.recv()
+            pipe.send(work(handful))
+        except (EOFError, OSError):
+            return
+        except KeyboardInterrupt:
+            return
+
+
+def _end_with(parent: int) -> None:
+    """Ends this process when its parent is no more: a killed run leaves nobody at work."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
