@@ -65,6 +65,7 @@ DATASET_EXAMPLES = """\
 examples:
   gelsim dataset --plan paper2017 --episodes 300 --out out/data
   gelsim dataset --plan paper2017 --episodes 7000 --out out/data --resume        goes on where it was killed, or with more
+  gelsim dataset --real recordings/ --out out/real                                videos named SHAPE[RADIUS]_HH_NUMBER.avi, or labels.csv
   gelsim inspect out/data --out out/data.png
 
 Plans, what they draw, and what the folder holds: docs/datasets.md. Exit code 4: more than 1 % of the episodes failed."""
@@ -149,7 +150,8 @@ def _parser() -> Parser:
     _add_output_flags(durometer, _durometer)
     dataset = commands.add_parser("dataset", help="many episodes of a plan, for learning", epilog=DATASET_EXAMPLES)
     dataset.add_argument("--plan", metavar="NAME", default="paper2017", help="a plan, or the path of a TOML file (default: paper2017)")
-    dataset.add_argument("--episodes", type=int, metavar="N", required=True, help="how many, counted from the first")
+    dataset.add_argument("--real", metavar="DIR", help="instead of a plan: a folder of recordings of a real sensor, converted")
+    dataset.add_argument("--episodes", type=int, metavar="N", help="how many, counted from the first; needed with a plan")
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
     dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core)")
@@ -315,8 +317,18 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _dataset(options: argparse.Namespace) -> dict[str, Any]:
+    if options.real:
+        from gelsim.generate import real
+
+        with _progress() as progress:
+            report = real.convert(Path(options.real), Path(options.out), resume=options.resume, progress=progress)
+        if not options.json:
+            print(real.summary(report))
+        return report
     from gelsim import generate
 
+    if options.episodes is None:
+        raise SceneError("dataset: give --episodes N, or --real DIR")
     with _progress() as progress:
         report = generate.generate(
             options.plan,

@@ -1,0 +1,287 @@
+"""`gelsim dataset --real DIR`: recordings of a real sensor, in the schema of the simulated ones.
+
+A press is a video, or a folder of pictures in the order of their names. Labels come from `labels.csv` beside them (columns: file, and any
+of object, group, shape, radius_mm, shore_00, rigid, motion, no_contact, first, last, split), and where there is none from the file's name,
+SHAPE[RADIUS]_HH_NUMBER, HH the Shore 00 reading, as the recordings of the 2017 paper are named; a folder whose name has "robot" in it was
+made by the robot. Frames are numbered from 0.
+
+*The press in it.* c(t) = mean |frame - no-contact frame| over blocks of BLOCK × BLOCK pixels (noise averages out) and channels. The
+no-contact frame, unless given, is the first one after which little changes for QUIET frames; the press begins where c exceeds BEGUN of its
+largest value, less LEAD frames, and ends where c is largest, as the paper chose its frames. A recording in which c stays below LEAST is
+listed as a failure.
+
+Left out: scale and distortion of the camera, place of markers (K = 0): `gelsim calibrate` is for that.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import re
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.dataset import episode_file, survey, write_episode, write_meta
+from gelsim.errors import SceneError
+from gelsim.randomize import SPLITS
+from gelsim.results import Episode
+
+VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".webm")
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
+LONGEST_SECONDS, MOST_FRAMES, MOST_PIXELS = 60.0, 1800, 2**23
+FFMPEG_SECONDS = 300.0
+KEPT = 60
+"""Frames of an episode at most: the last ones up to the peak."""
+LEAD, QUIET = 2, 3
+BLOCK = 8
+BEGUN, CALM, LEAST = 0.05, 0.5, 1.0
+"""Share of the largest change from which on a press has begun; mean changes [levels of 255] of what stands still, and of a press."""
+SHAPES = {
+    "hemi": ("hemisphere", 1), "sphere": ("hemisphere", 1), "ball": ("hemisphere", 1), "cyl": ("cylinder", 1),
+    "flat": ("flat", 1), "plane": ("flat", 1), "edge": ("edge", 1), "corner": ("corner", 1),
+}  # fmt: skip
+"""First letters of a file's name -> shape, group. Other shapes with a hardness are group 4, those without group 5."""
+COLUMNS = ("file", "object", "group", "shape", "radius_mm", "shore_00", "rigid", "motion", "no_contact", "first", "last", "split")
+
+Progress = Callable[[str, int, int], None]
+
+
+def convert(
+    source: Path, out: Path, *, resolution: tuple[int, int] = (320, 240), sensor: str = "real", resume: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Converts a folder of recordings; returns what the command reports.
+
+    Raises:
+        SceneError: There is nothing to convert, labels.csv is wrong, or the folder cannot be used. DatasetError: it cannot be written.
+    """
+    if not source.is_dir():
+        raise SceneError(f"--real {source}: is no folder")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())) and not resume:
+        raise SceneError(f"--out {out}: is not empty; give --resume to go on, or another name")
+    items = list(_recordings(source))
+    if not items:
+        raise SceneError(f"--real {source}: holds no videos ({', '.join(VIDEOS)}) and no folders of pictures")
+    info = {
+        "domain": "real", "fps": 30.0, "resolution": list(resolution), "noise": "own", "plan": None, "seed": None,
+        "recordings": len(items),
+    }  # fmt: skip
+    done = {row["index"] for row in survey(out).rows} if resume else set()
+    failures = []
+    splits = _splits([labels for _, labels in items])
+    for index, (path, labels) in enumerate(items):
+        if index not in done:
+            try:
+                episode = read_recording(path, labels, index, resolution, sensor, splits[index])
+                write_episode(out, episode)
+            except _Unusable as problem:
+                failures.append({"index": index, "seed": None, "status": "UNUSABLE", "message": f"{path.relative_to(source)}: {problem}"})
+        if progress:
+            progress("recordings", index + 1, len(items))
+    found = survey(out)
+    write_meta(out, info, found, failures, {name: [row["index"] for row in found.rows if row.get("split") == name] for name in SPLITS})
+    counts = {name: sum(row.get("split") == name for row in found.rows) for name in SPLITS}
+    return {
+        "out": str(out), "episodes": len(found.rows), "asked": len(items), "failed": len(failures), "failures": failures[:20],
+        "splits": counts, "exit_code": 4 if len(failures) > 0.01 * len(items) else 0,
+    }  # fmt: skip
+
+
+def summary(report: dict[str, Any]) -> str:
+    """A report in a few lines for people."""
+    lines = [f"{report['out']}: {report['episodes']} of {report['asked']} recordings"]
+    lines += [f"not used: {row['message']}" for row in report["failures"]]
+    return "\n".join(lines)
+
+
+class _Unusable(Exception):
+    """A recording that shows no press, or cannot be read."""
+
+
+# ---- what there is ----
+
+
+def _recordings(source: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    table = _labels(source)
+    if table is not None:
+        for name, labels in table.items():
+            yield source / name, labels
+        return
+    for path in sorted(source.rglob("*")):
+        if path.is_file() and path.suffix.lower() in VIDEOS:
+            yield path, labels_of_name(path.stem, "robot" in str(path.parent.relative_to(source)).lower())
+        elif path.is_dir() and any(item.suffix.lower() in PICTURES for item in path.iterdir()):
+            yield path, labels_of_name(path.name, "robot" in str(path.relative_to(source).parent).lower())
+
+
+def labels_of_name(name: str, robot: bool = False) -> dict[str, Any]:
+    """What SHAPE[RADIUS]_HH_NUMBER says."""
+    fields = name.split("_")
+    match = re.fullmatch(r"([A-Za-z-]+?)-?(\d+(?:\.\d+)?)?(?:mm)?", fields[0])
+    word, radius = (match[1].lower(), match[2]) if match else (fields[0].lower(), None)
+    hardness = float(fields[1]) if len(fields) > 1 and re.fullmatch(r"\d{2}", fields[1]) else None
+    shape, group = next((SHAPES[key] for key in SHAPES if word.startswith(key)), (word or "unknown", 5 if hardness is None else 4))
+    return {
+        "object": "-".join(fields[:2]) if hardness is not None else fields[0], "group": group, "shape": shape,
+        "radius_mm": float(radius) if radius else None, "shore_00": hardness, "rigid": False, "motion": "robot" if robot else "human",
+    }  # fmt: skip
+
+
+def _labels(source: Path) -> dict[str, dict[str, Any]] | None:
+    path = source / "labels.csv"
+    if not path.exists():
+        return None
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            columns = reader.fieldnames or []
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    for name in columns:
+        if name not in COLUMNS:
+            raise SceneError(f"{path}: column {name!r}: allowed are {', '.join(COLUMNS)}")
+    if "file" not in columns:
+        raise SceneError(f"{path}: the column file is missing")
+    table: dict[str, dict[str, Any]] = {}
+    for number, row in enumerate(rows, start=2):
+        name = row["file"] or ""
+        target = (source / name).resolve()
+        if not name or not target.is_relative_to(source.resolve()) or not target.exists():
+            raise SceneError(f"{path}: line {number}: file = {name!r}: there is no such recording in {source}")
+        try:
+            table[name] = _cells(row, labels_of_name(Path(name).stem, "robot" in name.lower()))
+        except ValueError as error:
+            raise SceneError(f"{path}: line {number}: {error}") from None
+    return table
+
+
+def _cells(row: dict[str, Any], labels: dict[str, Any]) -> dict[str, Any]:
+    """Cells that say something, over what the file's name said."""
+    for key, kind in (("radius_mm", float), ("shore_00", float), ("group", int), ("no_contact", int), ("first", int), ("last", int)):
+        if row.get(key):
+            labels[key] = kind(row[key])
+    if not 1 <= labels["group"] <= 5:
+        raise ValueError(f"group = {labels['group']}: allowed is 1 … 5")
+    if labels["shore_00"] is not None and not 0 <= labels["shore_00"] <= 100:
+        raise ValueError(f"shore_00 = {labels['shore_00']:g}: allowed is 0 … 100")
+    for key in ("object", "shape"):
+        labels[key] = row.get(key) or labels[key]
+    for key, allowed in (("rigid", ("true", "false")), ("motion", ("human", "robot")), ("split", SPLITS)):
+        if row.get(key):
+            if row[key] not in allowed:
+                raise ValueError(f"{key} = {row[key]!r}: allowed are {', '.join(allowed)}")
+            labels[key] = row[key] == "true" if key == "rigid" else row[key]
+    if labels["rigid"]:
+        labels["shore_00"] = None
+    return labels
+
+
+def _splits(labels: list[dict[str, Any]]) -> list[str]:
+    """Rows of the paper: every fourth hardness is held out, a tenth of the other objects validates; an object's presses stay together."""
+    levels = sorted({item["shore_00"] for item in labels if item["shore_00"] is not None and item["group"] in (1, 2)})
+    held = set(levels[2::4])
+    found = []
+    for item in labels:
+        rows = {3: "vessels", 4: "complicated", 5: "natural"}
+        share = int(hashlib.sha256(item["object"].encode()).hexdigest()[:8], 16) / 2**32
+        split = rows.get(item["group"]) or ("novel_hardness" if item["shore_00"] in held else "validation" if share < 0.1 else "train")
+        if item["motion"] == "robot" and item["group"] in (1, 2):
+            split = "robot"
+        found.append(item.get("split") or split)
+    return found
+
+
+# ---- one recording ----
+
+
+def read_recording(path: Path, labels: dict[str, Any], index: int, resolution: tuple[int, int], sensor: str, split: str) -> Episode:
+    """The press in a recording."""
+    frames, fps = _video(path, resolution) if path.is_file() else _pictures(path, resolution)
+    first, last, quiet = find_press(frames, labels.get("no_contact"), labels.get("first"), labels.get("last"))
+    shown = frames[first : last + 1]
+    count = len(shown)
+    row = {
+        "index": index, **{key: labels[key] for key in ("object", "group", "shape", "radius_mm", "shore_00", "rigid", "motion")},
+        "domain": "real", "frames": count, "peak_force_n": None, "mechanics": f"real-{index:06d}", "sensor": sensor,
+        "file": episode_file(index), "split": split, "source": path.name,
+    }  # fmt: skip
+    unknown = np.full(count, np.nan)
+    return Episode(shown, frames[quiet], np.arange(count) / fps, unknown, np.full((count, 3), np.nan), np.zeros((count, 0, 2)), row)
+
+
+def find_press(
+    frames: NDArray[np.uint8], no_contact: int | None = None, first: int | None = None, last: int | None = None
+) -> tuple[int, int, int]:
+    """First and last frame of the press, and the no-contact frame; those given are kept.
+
+    Args:
+        frames: (N, H, W, 3).
+    """
+    for name, value in (("no_contact", no_contact), ("first", first), ("last", last)):
+        if value is not None and not 0 <= value < len(frames):
+            raise _Unusable(f"{name} = {value}: it has {len(frames)} frames")
+    count, height, width = (size - size % BLOCK if axis in (1, 2) else size for axis, size in enumerate(frames.shape[:3]))
+    small = frames[:, :height, :width].reshape(count, height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(2, 4), dtype=np.float32)
+    if no_contact is None:
+        steps = np.abs(np.diff(small, axis=0)).mean(axis=(1, 2, 3))
+        calm = [i for i in range(max(len(steps) - QUIET, 0)) if steps[i : i + QUIET].max() < CALM]
+        no_contact = calm[0] if calm else 0
+    change = np.abs(small - small[no_contact]).mean(axis=(1, 2, 3))
+    peak = int(np.argmax(change)) if last is None else last
+    if change[peak] < LEAST:
+        raise _Unusable(f"no press is seen: the mean change is at most {change[peak]:.2g} levels of 255")
+    # Noise raises the change of every frame but one: what the calm ones have is no contact.
+    floor = float(np.percentile(change[: peak + 1], 10))
+    begun = np.flatnonzero(change[: peak + 1] > floor + BEGUN * (change[peak] - floor))
+    start = max(int(begun[0]) - LEAD, 0) if first is None else first
+    if start >= peak:
+        raise _Unusable(f"the press would end at frame {peak}, before it begins at {start}")
+    return max(start, peak + 1 - KEPT), peak, no_contact
+
+
+def _video(path: Path, resolution: tuple[int, int]) -> tuple[NDArray[np.uint8], float]:
+    """Frames (N, H, W, 3) and their rate. ffmpeg scales and counts, so memory is bounded whatever a file says, which may name no other."""
+    import imageio_ffmpeg
+
+    width, height = resolution
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", "-protocol_whitelist", "file,pipe", "-max_pixels", str(MOST_PIXELS),
+        "-t", f"{LONGEST_SECONDS:g}", "-i", f"file:{path}", "-frames:v", str(MOST_FRAMES), "-vf", f"scale={width}:{height}:flags=area",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-",
+    ]  # fmt: skip
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=FFMPEG_SECONDS)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise _Unusable(f"ffmpeg did not read it ({type(error).__name__})") from None
+    said = done.stderr.decode(errors="replace")
+    count = len(done.stdout) // (width * height * 3)
+    if done.returncode or count < 2:
+        lines = said.strip().splitlines()
+        raise _Unusable(f"cannot be read as a video of two or more frames ({lines[-1] if lines else 'no word of ffmpeg'})")
+    rate = re.search(r"Video:.* ([\d.]+) fps", said)
+    frames = np.frombuffer(done.stdout, np.uint8, count * width * height * 3).reshape(count, height, width, 3)
+    return frames, float(rate[1]) if rate and float(rate[1]) > 0 else 30.0
+
+
+def _pictures(path: Path, resolution: tuple[int, int]) -> tuple[NDArray[np.uint8], float]:
+    from PIL import Image
+
+    names = sorted(item for item in path.iterdir() if item.suffix.lower() in PICTURES)[:MOST_FRAMES]
+    frames = []
+    try:
+        for name in names:
+            with Image.open(name, formats=("PNG", "JPEG", "BMP")) as image:
+                if image.width * image.height > MOST_PIXELS:
+                    raise _Unusable(f"{name.name} has {image.width} × {image.height} pixels; allowed are {MOST_PIXELS} in all")
+                frames.append(np.array(image.convert("RGB").resize(resolution, Image.Resampling.BOX)))
+    except (OSError, ValueError, SyntaxError) as error:
+        raise _Unusable(f"{error}") from None
+    if len(frames) < 2:
+        raise _Unusable("has fewer than two pictures")
+    return np.stack(frames), 30.0
