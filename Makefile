@@ -1,16 +1,21 @@
 # make demo: a first tactile video.  make test: the tests.  make lint: what CI checks beside them.
+# make train-mini: the learner on the small dataset that comes along, two minutes on a CPU.
 # Each makes .venv from constraints.txt when it is missing or out of date. No root needed.
 
 PYTHON ?= $(shell for name in python3.11 python3.12 python3.13 python3 python; do \
 	if $$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then command -v $$name; break; fi; done)
 BIN := .venv/bin
 
-.PHONY: demo test lint clean
+.PHONY: demo train-mini test lint clean
 .DELETE_ON_ERROR:
 
 demo: .venv/stamp
 	$(BIN)/gelsim render --shape cylinder --shore 30 --out out/demo --force
 	@echo "Look at out/demo/sheet.png and out/demo/video.mp4"
+
+train-mini: .venv/stamp
+	$(BIN)/gelsim-learn train --preset mini --data assets/mini --out out/mini --force
+	@echo "Look at out/mini/curves.png and out/mini/report.json"
 
 test: .venv/stamp
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)

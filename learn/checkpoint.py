@@ -1,0 +1,91 @@
+"""Checkpoints: tensors and plain types in one file, so that loading one runs nothing. Written under a temporary name, then renamed.
+
+    format, config, step, network (weights), optimizer, best (validation loss), spread_factor, novelty, provenance
+
+`last.pt` holds all of it and is what --resume goes on from; `model.pt` has no optimizer and is what eval and predict read.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from learn.config import Config, LearnError, from_plain, to_plain
+from learn.model import Network, build, read_tensors
+
+FORMAT = "gelsim-learn 1"
+LARGEST = 4 * 2**30
+"""Bytes: VGG16 with the momentum of its optimizer has 1 GiB."""
+
+
+@dataclass(eq=False)
+class Checkpoint:
+    """What one file holds."""
+
+    config: Config
+    step: int
+    network: dict[str, torch.Tensor]
+    optimizer: dict[str, Any] | None = None
+    best: float = float("inf")
+    """Lowest validation loss so far."""
+    spread_factor: float = 1.0
+    """By which the network's spread is multiplied, fitted on the validation split."""
+    novelty: dict[str, Any] | None = None
+    """`learn.novelty.Novelty` as tensors."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """Data, command, versions, seconds: text and numbers."""
+
+    def build(self) -> Network:
+        """The network with these weights.
+
+        Raises:
+            LearnError: They do not fit the config.
+        """
+        with torch.device("meta"):
+            network = build(self.config)
+        wanted = {name: tensor.shape for name, tensor in network.state_dict().items()}
+        found = {name: getattr(tensor, "shape", None) for name, tensor in self.network.items()}
+        if wanted != found:
+            wrong = next(iter(sorted(set(wanted) ^ set(found)) or [name for name in wanted if wanted[name] != found[name]]))
+            raise LearnError(f"checkpoint: weights {wrong!r} have shape {found.get(wrong)}, the config wants {wanted.get(wrong)}")
+        # Copied, because the tensors become the network's own.
+        network.load_state_dict({name: tensor.clone() for name, tensor in self.network.items()}, assign=True)
+        return network.eval()
+
+
+def save(path: Path, checkpoint: Checkpoint) -> None:
+    """Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}-{os.getpid()}.partial")
+    content = {name: getattr(checkpoint, name) for name in checkpoint.__dataclass_fields__}
+    try:
+        torch.save({"format": FORMAT, **content, "config": to_plain(checkpoint.config)}, partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def load(path: Path) -> Checkpoint:
+    """Reads a checkpoint; nothing in it is run.
+
+    Raises:
+        LearnError: No such file, too large, not of tensors and plain types alone, or not a checkpoint of this format.
+    """
+    found = read_tensors(path, LARGEST)
+    if found.get("format") != FORMAT:
+        raise LearnError(f"{path}: is no checkpoint of gelsim-learn (its format is {found.get('format')!r}, wanted is {FORMAT!r})")
+    kinds = {"step": int, "network": dict, "best": float, "spread_factor": float, "provenance": dict}
+    for name, kind in kinds.items():
+        if not isinstance(found.get(name), kind):
+            raise LearnError(f"{path}: {name} is {type(found.get(name)).__name__}, wanted is {kind.__name__}")
+    try:
+        config = from_plain(found.get("config"))
+    except LearnError as error:
+        raise LearnError(f"{path}: {error}") from None
+    names = [name for name in Checkpoint.__dataclass_fields__ if name != "config"]
+    parts: dict[str, Any] = {name: found.get(name) for name in names}
+    return Checkpoint(config, **parts)

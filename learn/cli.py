@@ -1,0 +1,251 @@
+"""The command line: `gelsim-learn train | eval | predict`. Nothing heavy is imported before a command needs it.
+
+Exit codes: 0 done; 2 bad input, one line says what and what is allowed; 4 some of several videos gave no estimate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import difflib
+import json
+import sys
+import typing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+from gelsim.errors import GelsimError
+from learn import config as config_module
+from learn.config import PRESETS, Config, LearnError, configure, sections
+
+OK, INTERNAL, BAD_INPUT, PARTIAL, INTERRUPTED = 0, 1, 2, 4, 130
+
+ABOUT = """\
+gelsim-learn reads hardness (Shore 00) from videos of a tactile sensor that is pressed against something.
+
+  gelsim-learn train --data DIR --out RUN                    our network
+  gelsim-learn train --data DIR --out RUN --model paper --vgg-weights vgg16.pth
+  torchrun --nproc-per-node 4 -m learn.cli train --data DIR --out RUN --workers 12
+  gelsim-learn train --data SIM --real DIR --init RUN/model.pt --real-presses 20 --rate 1e-4 --steps 500 --out TUNED
+  gelsim-learn eval --model RUN/model.pt --data DIR --out RUN/eval
+  gelsim-learn predict --model RUN/model.pt press.mp4
+
+What each means, and how far to trust it: docs/learner.md."""
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with one-line errors that name the nearest flag."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+
+    def error(self, message: str) -> NoReturn:
+        raise LearnError(message.replace("argument ", "flag ", 1) if message.startswith("argument ") else message)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command and returns its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        options, rest = _parser().parse_known_args(arguments)
+        if rest:
+            flags = [flag for action in options.parser._actions for flag in action.option_strings]
+            close = difflib.get_close_matches(rest[0].split("=")[0], flags, n=1)
+            raise LearnError(f"unknown flag {rest[0]!r}" + (f"; nearest is {close[0]}" if close else ""))
+        return options.run(options)
+    except GelsimError as error:
+        line, code = " ".join(str(error).split()), BAD_INPUT
+        kind = type(error).__name__
+    except KeyboardInterrupt:
+        line, code, kind = "interrupted; a training goes on with --resume", INTERRUPTED, "KeyboardInterrupt"
+    except Exception as error:
+        if "--debug" in arguments:
+            raise
+        line, code = f"internal error, {type(error).__name__}: {error} (a bug; run again with --debug for the trace)", INTERNAL
+        line, kind = " ".join(line.split()), type(error).__name__
+    print(f"gelsim-learn: {line}", file=sys.stderr)
+    if "--json" in arguments:
+        print(json.dumps({"error": line, "kind": kind, "exit_code": code}))
+    return code
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="gelsim-learn", description=ABOUT)
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
+    train = commands.add_parser("train", help="train a network on presses")
+    train.add_argument("--data", required=True, type=Path, metavar="DIR", help="a dataset of presses")
+    train.add_argument("--real", type=Path, metavar="DIR", help="a second one, of real presses, mixed in at --real-ratio")
+    train.add_argument("--out", required=True, type=Path, metavar="RUN", help="run folder")
+    train.add_argument("--resume", action="store_true", help="go on with an interrupted run, by its own settings")
+    train.add_argument("--force", action="store_true", help="begin again in an existing folder")
+    train.add_argument("--init", type=Path, metavar="CKPT", help="begin from this network (fine-tuning)")
+    train.add_argument("--vgg-weights", type=Path, metavar="FILE", help="--model paper: VGG16 weights in torchvision's layout")
+    train.add_argument("--preset", choices=tuple(PRESETS), help="settings to start from (default: paper with --model paper)")
+    for name, kind in sections().items():
+        group = train.add_argument_group(f"[{name}]")
+        docs = _field_docs()[kind.__name__]
+        for item in dataclasses.fields(kind):
+            if item.default is not dataclasses.MISSING:
+                shown = "x".join(map(str, item.default)) if isinstance(item.default, tuple) else str(item.default).lower()
+                help_text = f"{docs.get(item.name, '')} (default: {shown})".strip().replace("%", "%%")
+                group.add_argument("--" + item.name.replace("_", "-"), dest=f"config.{item.name}", metavar="VALUE", help=help_text)
+    evaluate = commands.add_parser("eval", help="the table of the paper, plots and errors of a network on test presses")
+    evaluate.add_argument("--model", required=True, metavar="CKPT", help="a checkpoint, or the name of a shipped one")
+    evaluate.add_argument("--data", required=True, type=Path, metavar="DIR", help="a dataset with test splits")
+    evaluate.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: eval-DATA beside the checkpoint)")
+    evaluate.add_argument("--row", action="append", default=[], metavar="SPLIT", help="test this split (default: the paper's rows)")
+    evaluate.add_argument("--force", action="store_true", help="write over an existing result")
+    predict = commands.add_parser("predict", help="hardness and its spread from videos, folders of frames, episodes or datasets")
+    predict.add_argument("--model", default="default", metavar="CKPT", help="a checkpoint, or the name of a shipped one (default: default)")
+    predict.add_argument("videos", nargs="+", type=Path, metavar="VIDEO", help="a video, a folder of frames, an episode's tar, a dataset")
+    predict.add_argument("--background", type=Path, metavar="FILE", help="a picture without contact (default: the first frame)")
+    predict.add_argument("--start", type=float, default=0.0, metavar="S", help="where in the video the press begins [s] (default: 0)")
+    predict.add_argument("--seconds", type=float, metavar="S", help="how long it lasts [s] (default: to the end)")
+    for command, run in ((train, _train), (evaluate, _evaluate), (predict, _predict)):
+        command.set_defaults(run=run, parser=command)
+        command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+        command.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+        command.add_argument("--debug", action="store_true", help="show the Python trace of an internal error")
+    return parser
+
+
+def _train(options: argparse.Namespace) -> int:
+    given = {name.removeprefix("config."): text for name, text in vars(options).items() if name.startswith("config.") and text is not None}
+    changes = {name: _value(name, text) for name, text in given.items()}
+    if options.resume and options.init:
+        raise LearnError("--init: a run that goes on has begun already; leave --init or --resume out")
+    from learn import train
+
+    if options.resume:
+        config = train.read_run(options.out)
+        wanted = configure_from(config, changes)
+        if wanted != configure_from(config, {key: value for key, value in changes.items() if key == "workers"}):
+            raise LearnError(f"--resume goes on with the settings in {options.out / 'config.json'}; leave {', '.join(sorted(given))} out")
+        config = wanted
+    elif options.init:
+        from learn.checkpoint import load
+
+        begun = load(options.init).config
+        config = configure_from(configure(options.preset or begun.model.model.replace("press", "default")), {})
+        config = dataclasses.replace(configure_from(config, changes), input=begun.input, model=begun.model)
+        fixed = {item.name for part in (begun.input, begun.model) for item in dataclasses.fields(part)} & set(changes)
+        if fixed:
+            raise LearnError(f"--init fixes the network: leave {', '.join(sorted(fixed))} out")
+    else:
+        config = configure(options.preset or ("paper" if changes.get("model") == "paper" else "default"), **changes)
+    if config.model.model == "paper" and not (options.vgg_weights or options.init or options.resume):
+        print("VGG16 starts from random weights: no --vgg-weights were given (the paper starts from ImageNet)", file=sys.stderr)
+    with _progress() as progress:
+        report = train.train(
+            options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=options.init,
+            vgg_weights=options.vgg_weights, device=options.device, progress=progress,
+        )  # fmt: skip
+    if report:
+        line = f"{options.out / 'model.pt'}: step {report['step']}"
+        if "validation_rmse" in report:
+            line += f", RMSE {report['validation_rmse']:.2f} on {report['validation_presses']} validation presses"
+            line += f" (training mean: {report['validation_rmse_of_mean']:.2f})"
+        print(json.dumps(report) if options.json else line)
+    return OK
+
+
+def configure_from(config: Config, changes: dict[str, Any]) -> Config:
+    """A config with some fields changed."""
+    parts = {name: getattr(config, name) for name in sections()}
+    flat = {item.name: getattr(part, item.name) for part in parts.values() for item in dataclasses.fields(part)}
+    return configure(**(flat | changes))
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from learn import evaluate
+    from learn.predict import shipped_model
+
+    model = shipped_model(options.model)
+    out = options.out or model.parent / f"eval-{options.data.resolve().name}"
+    with _progress() as progress:
+        report = evaluate.evaluate(
+            model, options.data, out, rows=options.row, force=options.force, device=options.device, progress=progress
+        )
+    print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
+    return OK
+
+
+def _predict(options: argparse.Namespace) -> int:
+    from learn import predict
+
+    model = predict.shipped_model(options.model)
+    answers = []
+    for answer in predict.predict(
+        model, options.videos, background=options.background, start=options.start, seconds=options.seconds, device=options.device
+    ):
+        answers.append(answer)
+        if not options.json:
+            failed = answer["status"] == "unreadable"
+            print(predict.in_words(answer), file=sys.stderr if failed else sys.stdout, flush=True)
+    if options.json:
+        print(json.dumps({"presses": answers}, allow_nan=False))
+    good = sum(answer["status"] == "ok" for answer in answers)
+    return OK if good == len(answers) else PARTIAL if good else BAD_INPUT
+
+
+def _value(name: str, text: str) -> Any:
+    """What was typed, as a value of the field's type; what does not parse stays text, for the config's own check to name."""
+    hint = next(typing.get_type_hints(kind)[name] for kind in sections().values() if name in typing.get_type_hints(kind))
+    if hint is bool:
+        return {"true": True, "false": False}.get(text.lower(), text)
+    if hint is str:
+        return text
+    try:
+        if hint in (int, float):
+            return hint(text)
+        return tuple(int(word) for word in text.replace("x", " ").replace(",", " ").split())
+    except ValueError:
+        return text
+
+
+def _field_docs() -> dict[str, dict[str, str]]:
+    """Class name -> field -> the string under it, read from the source: Python keeps no docstrings of fields."""
+    docs: dict[str, dict[str, str]] = {}
+    for node in ast.parse(Path(config_module.__file__).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef):
+            docs[node.name] = {
+                field.target.id: " ".join(text.value.value.split())
+                for field, text in zip(node.body, node.body[1:], strict=False)
+                if isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+                and isinstance(text.value.value, str)
+            }
+    return docs
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None] | None]:
+    """A bar on stderr for each stage; None when nobody looks at a terminal."""
+    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+        yield None
+        return
+    from tqdm import tqdm
+
+    bars: dict[str, tqdm] = {}
+
+    def show(stage: str, done: int, total: int) -> None:
+        if stage not in bars:
+            for bar in bars.values():
+                bar.close()
+            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr)
+        bars[stage].update(done - bars[stage].n)
+
+    try:
+        yield show
+    finally:
+        for bar in bars.values():
+            bar.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,239 @@
+"""What a training is made of, as frozen dataclasses: saved with every run and every checkpoint, each field a flag of `gelsim-learn train`.
+
+Standard library only, so that the command line can name every field without loading torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+import typing
+from dataclasses import dataclass, field
+from typing import Any
+
+from gelsim.errors import GelsimError
+
+MODELS = ("press", "paper")
+PRECISIONS = ("auto", "float32", "bfloat16")
+
+
+class LearnError(GelsimError, ValueError):
+    """A setting, a checkpoint or a video that cannot be used; one line says why and what is allowed."""
+
+
+@dataclass(frozen=True)
+class InputConfig:
+    """How a press becomes the network's input."""
+
+    picture: tuple[int, int] = (96, 128)
+    """rows and columns of the pictures that the network sees"""
+    frames: int = 8
+    """pictures chosen of a press, equally spaced in intensity change"""
+    deadband_levels: float = 3.0
+    """intensity changes below this count as none [levels of 255]"""
+    contact_levels: float = 0.05
+    """mean intensity change above the deadband at which contact begins [levels]"""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The network."""
+
+    model: str = "press"
+    """press: ours; paper: VGG16 and LSTM of Yuan et al. 2017"""
+    widths: tuple[int, ...] = (24, 48, 96, 160)
+    """channels of the stages, each at half the resolution of the one before"""
+    hidden: int = 128
+    """units of the LSTM"""
+    show_background: bool = True
+    """ours: the no-contact frame is shown too (for an ablation)"""
+    show_signal: bool = True
+    """ours: each picture comes with its intensity change (for an ablation)"""
+    every_step: bool = True
+    """ours: each picture of a press is trained as if it were the last (for an ablation)"""
+    spread: bool = True
+    """ours: predicts a spread, trained by likelihood; off: Huber loss (for an ablation)"""
+
+
+@dataclass(frozen=True)
+class AugmentConfig:
+    """Image-time randomisation, drawn anew each time a press is used."""
+
+    augment: bool = True
+    """off: presses are seen as they are, but for the noise of their camera"""
+    end_share: float = 0.3
+    """the earliest end point of a press, as a share of its largest intensity change; 1: always to the peak"""
+    thin: int = 3
+    """at most every how many-th frame of a recording is kept: speed and frame rate"""
+    drop: float = 0.15
+    """share of frames that are lost"""
+    noise_levels: float = 1.5
+    """largest standard deviation of noise on top of the camera's own, after averaging to the network's pictures [levels]"""
+    gain: float = 0.25
+    """largest relative change of each colour's gain"""
+    gamma: float = 0.2
+    """largest relative change of the tone curve's exponent"""
+    drift: float = 0.01
+    """largest relative change of exposure between the no-contact frame and the press"""
+    blur_px: float = 0.7
+    """largest standard deviation of blur [px of the network's pictures]"""
+    crop: float = 0.15
+    """largest share of the picture's width and height cut off"""
+    mirror: bool = True
+    """mirrors the sensor, its lights with it"""
+    swap_colours: bool = True
+    """gives the lights each other's colours"""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """The optimisation."""
+
+    steps: int = 10_000
+    batch: int = 32
+    """presses a step, over all devices"""
+    rate: float = 1e-3
+    """learning rate at its highest"""
+    warmup: int = 200
+    """ours: steps to the highest rate, from which it falls as a half cosine"""
+    weight_decay: float = 0.02
+    step_size: int = 1000
+    """paper: steps after which the rate falls"""
+    step_factor: float = 0.1
+    """paper: the factor by which it falls (not given there; the usual one of its time)"""
+    momentum: float = 0.9
+    """paper: of SGD (not given there)"""
+    clip: float = 1.0
+    """largest norm of a gradient; 0: none"""
+    seed: int = 0
+    precision: str = "auto"
+    """of the convolutions: auto is bfloat16 on CUDA, float32 on a CPU"""
+    workers: int = 0
+    """processes that prepare presses"""
+    validate_every: int = 500
+    """steps between validations; a checkpoint is saved at each"""
+    real_ratio: float = 0.5
+    """share of real presses in a batch when --real is given"""
+    real_presses: int = 0
+    """how many real presses to train on; 0: all"""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that decides what a run computes, but for the data."""
+
+    input: InputConfig = field(default_factory=InputConfig)
+    model: ModelConfig = field(default_factory=ModelConfig)
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+# What a preset changes; flags beat it.
+PRESETS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "mini": {
+        "picture": (48, 64), "frames": 6, "widths": (16, 32, 64), "hidden": 64, "steps": 500, "batch": 16, "warmup": 30,
+        "rate": 2e-3, "validate_every": 100,
+    },
+    "paper": {
+        "model": "paper", "picture": (224, 224), "frames": 5, "hidden": 256, "batch": 16,
+        "weight_decay": 5e-4, "warmup": 0, "clip": 10.0, "thin": 1, "drop": 0.0, "noise_levels": 0.0, "gain": 0.0, "gamma": 0.0,
+        "drift": 0.0, "blur_px": 0.0, "crop": 0.0, "mirror": False, "swap_colours": False,
+    },
+}  # fmt: skip
+
+
+def sections() -> dict[str, type]:
+    """Name of each section -> its dataclass."""
+    hints = typing.get_type_hints(Config)
+    return {item.name: hints[item.name] for item in dataclasses.fields(Config)}
+
+
+def configure(preset: str = "default", **changes: Any) -> Config:
+    """A preset with some fields changed; field names are unique over all sections.
+
+    Raises:
+        LearnError: An unknown preset or field, or a value out of range.
+    """
+    if preset not in PRESETS:
+        raise LearnError(f"preset = {preset!r}: allowed are {', '.join(PRESETS)}")
+    homes = {item.name: name for name, kind in sections().items() for item in dataclasses.fields(kind)}
+    parts: dict[str, dict[str, Any]] = {name: {} for name in sections()}
+    for key, value in (PRESETS[preset] | changes).items():
+        if key not in homes:
+            close = difflib.get_close_matches(key, homes, n=1)
+            raise LearnError(f"unknown setting {key!r}" + (f"; nearest is {close[0]!r}" if close else ""))
+        parts[homes[key]][key] = value
+    return Config(**{name: kind(**parts[name]) for name, kind in sections().items()})
+
+
+def to_plain(config: Config) -> dict[str, Any]:
+    """Nested dictionaries of numbers, text and lists."""
+    return {
+        name: {key: list(value) if isinstance(value, tuple) else value for key, value in part.items()}
+        for name, part in dataclasses.asdict(config).items()
+    }
+
+
+def from_plain(plain: object) -> Config:
+    """The inverse of `to_plain`; what it gets may come from a stranger's file.
+
+    Raises:
+        LearnError: Unknown or missing fields, wrong types, values out of range.
+    """
+    if not isinstance(plain, dict) or set(plain) != set(sections()):
+        raise LearnError(f"config: expected the sections {', '.join(sections())}")
+    parts = {}
+    for name, kind in sections().items():
+        known = {item.name for item in dataclasses.fields(kind)}
+        if not isinstance(plain[name], dict) or set(plain[name]) != known:
+            raise LearnError(f"config: section {name!r} should hold {', '.join(sorted(known))}")
+        parts[name] = kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in plain[name].items()})
+    return Config(**parts)
+
+
+_RANGES: dict[str, tuple[float, float]] = {
+    "picture": (16, 1024), "frames": (2, 64), "deadband_levels": (0, 64), "contact_levels": (1e-3, 64), "widths": (4, 2048),
+    "hidden": (4, 4096), "end_share": (0.05, 1), "thin": (1, 20), "drop": (0, 0.9), "noise_levels": (0, 64), "gain": (0, 0.9),
+    "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
+    "warmup": (0, 10**7), "weight_decay": (0, 10), "step_size": (1, 10**8), "step_factor": (0, 1), "momentum": (0, 0.9999),
+    "clip": (0, 1e6), "seed": (0, 2**31), "workers": (0, 256), "validate_every": (1, 10**8), "real_ratio": (0, 1),
+    "real_presses": (0, 10**8),
+}  # fmt: skip
+_CHOICES = {"model": MODELS, "precision": PRECISIONS}
+
+
+def _check(config: Config) -> None:
+    for name, kind in sections().items():
+        hints = typing.get_type_hints(kind)
+        for item in dataclasses.fields(kind):
+            value, hint = getattr(getattr(config, name), item.name), hints[item.name]
+            if item.name in _CHOICES:
+                if value not in _CHOICES[item.name]:
+                    raise LearnError(f"{item.name} = {value!r}: allowed are {', '.join(_CHOICES[item.name])}")
+                continue
+            listed = isinstance(hint, types.GenericAlias) or typing.get_origin(hint) is tuple
+            inner = typing.get_args(hint)[0] if listed else hint
+            values = value if listed else (value,)
+            fits = isinstance(values, tuple) and values and all(_is(one, inner) for one in values)
+            if not fits or (item.name == "picture" and len(values) != 2) or len(values) > 8:
+                raise LearnError(f"{item.name} = {value!r}: expected {'a list of ' if listed else ''}{inner.__name__}")
+            if item.name in _RANGES:
+                low, high = _RANGES[item.name]
+                if not all(low <= one <= high for one in values):
+                    raise LearnError(f"{item.name} = {value!r}: allowed is {low:g} … {high:g}")
+    if config.model.model == "paper" and (config.input.picture != (224, 224) or config.input.frames < 3):
+        raise LearnError(f"model = 'paper' takes pictures of 224 × 224 and three frames at least, not {config.input.picture}")
+    shortest, stages = min(config.input.picture), len(config.model.widths)
+    if shortest < 2 ** (stages + 1):
+        raise LearnError(f"picture = {config.input.picture}: {stages} widths need {2 ** (stages + 1)} pixels at least")
+
+
+def _is(value: object, kind: Any) -> bool:
+    if kind is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and value == value
+    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))

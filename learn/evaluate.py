@@ -1,0 +1,272 @@
+"""`gelsim-learn eval`: the table of the paper with our numbers beside its own, and where the errors are.
+
+Each test row of the dataset's splits: the network and the baselines (which learn from the dataset's own split `train`), count, R², RMSE
+with 95 % intervals over objects. Presses are seen to their peak, with their camera's noise drawn. A press without visible contact is not
+left out: its estimate is the network's mean of the training, and it is counted.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelsim.dataset import Dataset, load_dataset
+from learn import plots, scores
+from learn.baselines import NAMES, Baselines, fit_baselines, over_time
+from learn.checkpoint import Checkpoint, load
+from learn.config import Config, LearnError
+from learn.data import Progress, archive, held_presses
+from learn.estimate import estimate, pick_device
+from learn.model import Network
+from learn.novelty import novelty_from_plain
+from learn.splits import TEST_ROWS, TRAIN, VALIDATION, check_splits
+
+# Yuan et al., ICRA 2017, Table I and section V-B: videos, R², RMSE. It gives no numbers of natural objects.
+PUBLISHED: dict[str, tuple[int | None, float, float]] = {
+    "novel_hardness": (1398, 0.9564, 5.18),
+    "novel_shape": (73, 0.7868, 11.05),
+    "robot": (683, 0.8524, 10.28),
+    "vessels": (None, 0.57, 19.3),
+    "complicated": (None, 0.39, 18.2),
+}
+TITLES = {
+    "novel_hardness": "trained shape, novel hardness", "novel_shape": "novel shapes", "robot": "trained samples, robot gripper",
+    "vessels": "simple vessels (group 3)", "complicated": "complicated shapes (group 4)", "natural": "natural objects (group 5)",
+}  # fmt: skip
+HARDNESS_BANDS, FORCE_BANDS = (0, 20, 40, 60, 70, 80, 100), (0, 2, 4, 6, 8, 12, 1000)
+CHUNK = 64
+"""Episodes in memory at once."""
+
+
+def evaluate(
+    model: Path,
+    data: Path,
+    out: Path,
+    *,
+    rows: Sequence[str] = (),
+    force: bool = False,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Writes table.md, report.json, predictions.csv and plots into `out`.
+
+    Args:
+        model: A checkpoint. rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
+    Returns:
+        What report.json holds.
+    Raises:
+        LearnError, DatasetError: Something in the input cannot be used.
+    """
+    if out.exists() and any(out.iterdir()) and not force:
+        raise LearnError(f"--out {out}: exists; give --force to write over it")
+    dataset, checkpoint = load_dataset(data), load(model)
+    check_splits(dataset.rows, dataset.splits)
+    chosen = list(rows) or [name for name in TEST_ROWS if dataset.splits.get(name)] or [VALIDATION]
+    for name in chosen:
+        if not dataset.splits.get(name):
+            raise LearnError(f"eval: {data} has no split {name!r}; it has {', '.join(name for name in dataset.splits) or 'none'}")
+    out.mkdir(parents=True, exist_ok=True)
+    learnt = _learn_baselines(dataset, checkpoint.config, progress)
+    network = checkpoint.build().to(pick_device(device))
+    total = sum(len(dataset.splits[name]) for name in chosen)
+    found: dict[str, list[dict[str, Any]]] = {}
+    done = 0
+    for name in chosen:
+        found[name] = []
+        for start in range(0, len(dataset.splits[name]), CHUNK):
+            found[name] += _predict(dataset, dataset.splits[name][start : start + CHUNK], checkpoint, network, learnt)
+            done = done + len(dataset.splits[name][start : start + CHUNK])
+            if progress:
+                progress("evaluating", done, total)
+    report: dict[str, Any] = {"model": model.name, "step": checkpoint.step, "data": dataset.folder.resolve().name, "rows": {}}
+    report |= {"domain": dataset.info.get("domain"), "training": checkpoint.provenance}
+    for name, predictions in found.items():
+        report["rows"][name] = _row_report(name, predictions, learnt is not None)
+    everything = [prediction for predictions in found.values() for prediction in predictions if prediction["true"] is not None]
+    if everything:
+        report["all"] = _details(everything)
+        report["told_apart"] = scores.told_apart(_column(everything, "true"), _column(everything, "estimate"))
+    _write(out, report, found)
+    return report
+
+
+def table(report: dict[str, Any]) -> str:
+    """The rows as a Markdown table, published numbers beside."""
+    lines = [
+        f"Test presses of `{report['data']}` ({report['domain']}); brackets: 95 % interval over objects. Published: real recordings.",
+        "",
+        "| row | published: n, R², RMSE | presses, objects | R² | RMSE | " + " | ".join(f"RMSE, {name}" for name in NAMES) + " |",
+        "|---|---|---|---|---|" + "---|" * len(NAMES),
+    ]
+    for name, row in report["rows"].items():
+        known = PUBLISHED.get(name)
+        published = f"{known[0] or '—'}, {known[1]}, {known[2]}" if known else "—"
+        if "rmse" not in row:
+            lines.append(f"| {TITLES.get(name, name)} | {published} | {row['presses']} | — | — |" + " — |" * len(NAMES))
+            continue
+        bare = [f"{row['baselines'][other]['rmse']:.1f}" if row["baselines"] else "—" for other in NAMES]
+        cells = [
+            TITLES.get(name, name),
+            published,
+            f"{row['presses']}, {row['objects']}",
+            _with_interval(row["r2"], row["r2_interval"], 2),
+            _with_interval(row["rmse"], row["rmse_interval"], 1),
+            *bare,
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    for name, row in report["rows"].items():
+        for shape, order in row.get("ranking", {}).items():
+            lines += ["", f"{TITLES.get(name, name)}, {shape}: Spearman {order['spearman']:.2f} over {order['objects']} objects."]
+        if row["without_contact"]:
+            lines += [
+                "",
+                f"{TITLES.get(name, name)}: {row['without_contact']} presses show no contact; their estimate is the training mean.",
+            ]
+    return "\n".join(lines) + "\n"
+
+
+def _learn_baselines(dataset: Dataset, config: Config, progress: Progress | None) -> Baselines | None:
+    known = {row["index"] for row in dataset.rows if row["shore_00"] is not None}
+    train = [index for index in dataset.splits.get(TRAIN, []) if index in known]
+    if len(train) < 3:
+        return None
+    # A scratch folder of its own: only the features are kept, the pictures may be many.
+    scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-"))
+    try:
+        part = archive(dataset, train, config.input, scratch, progress)
+        curves = [(part.signal(number), part.features(number)) for number in range(len(part))]
+        target = np.array([row["shore_00"] for row in part.rows], float)
+        return fit_baselines(curves, target, config.input)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _predict(
+    dataset: Dataset, indices: Sequence[int], checkpoint: Checkpoint, network: Network, learnt: Baselines | None
+) -> list[dict[str, Any]]:
+    config = checkpoint.config
+    novelty = novelty_from_plain(checkpoint.novelty)
+    part = archive(dataset, indices, config.input)
+    presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
+    seen = [number for number, press in enumerate(presses) if press is not None]
+    mean = np.full(len(presses), float(network.centre))
+    spread = np.full(len(presses), float(network.scale))
+    distance = np.full(len(presses), np.nan)
+    if seen:
+        said = estimate(network, [press for press in presses if press is not None], network.centre.device)
+        mean[seen], spread[seen] = said.mean, said.spread * checkpoint.spread_factor
+        if novelty is not None:
+            distance[seen] = novelty.distance(said.statistics).numpy() / novelty.threshold
+    curves = [over_time((part.signal(number), part.features(number)), config.input) for number in range(len(part))]
+    bare = {name: learnt.predict(name, curves) for name in NAMES} if learnt else {}
+    return [
+        {
+            "row": row,
+            "true": None if row["shore_00"] is None else float(row["shore_00"]),
+            "estimate": float(mean[number]),
+            "spread": float(spread[number]),
+            "novelty": float(distance[number]),
+            "contact": presses[number] is not None,
+            **{name: float(values[number]) for name, values in bare.items()},
+        }
+        for number, row in enumerate(part.rows)
+    ]
+
+
+def _column(predictions: Sequence[dict[str, Any]], name: str) -> scores.Array:
+    return np.array([prediction[name] for prediction in predictions], float)
+
+
+def _row_report(name: str, predictions: list[dict[str, Any]], with_baselines: bool) -> dict[str, Any]:
+    known = [prediction for prediction in predictions if prediction["true"] is not None]
+    report: dict[str, Any] = {
+        "presses": len(predictions),
+        "without_contact": sum(not prediction["contact"] for prediction in predictions),
+        "unlike_training": int((_column(predictions, "novelty") > 1).sum()),
+    }
+    rigid = [prediction["estimate"] for prediction in predictions if prediction["row"]["rigid"]]
+    if rigid:
+        report["rigid"] = {"presses": len(rigid), "over_80": float(np.mean([value > 80 for value in rigid]))}
+    if not known:
+        return report
+    true, objects = _column(known, "true"), [prediction["row"]["object"] for prediction in known]
+    report |= scores.errors(true, _column(known, "estimate"), objects)
+    report["baselines"] = {other: scores.errors(true, _column(known, other), objects) for other in NAMES} if with_baselines else {}
+    report["calibration"] = _calibration(known)
+    if name == "natural":
+        report["ranking"] = scores.ranking([prediction["row"] for prediction in predictions], _column(predictions, "estimate"))
+    return report
+
+
+def _details(known: list[dict[str, Any]]) -> dict[str, Any]:
+    true, said = _column(known, "true"), _column(known, "estimate")
+    rows = [prediction["row"] for prediction in known]
+    keys = {
+        "shape": [row["shape"] for row in rows],
+        "radius": ["—" if row["radius_mm"] is None else f"{row['radius_mm']:g} mm" for row in rows],
+        "hardness": [_band(row["shore_00"], HARDNESS_BANDS) for row in rows],
+        "force": ["unknown" if row["peak_force_n"] is None else _band(row["peak_force_n"], FORCE_BANDS) + " N" for row in rows],
+    }
+    report: dict[str, Any] = {f"by_{name}": scores.error_by(true, said, values) for name, values in keys.items()}
+    report["calibration"] = _calibration(known)
+    return report
+
+
+def _calibration(known: list[dict[str, Any]]) -> dict[str, Any] | None:
+    spread = _column(known, "spread")
+    if not np.isfinite(spread).all():
+        return None
+    return scores.calibration(_column(known, "true"), _column(known, "estimate"), spread)
+
+
+def _band(value: float, edges: Sequence[float]) -> str:
+    number = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2))
+    return f"{edges[number]:g}–{edges[number + 1]:g}"
+
+
+def _with_interval(value: float, interval: Sequence[float], digits: int) -> str:
+    if np.isnan(value):
+        return "—"
+    return f"{value:.{digits}f}" + ("" if np.isnan(interval[0]) else f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]")
+
+
+def _write(out: Path, report: dict[str, Any], found: dict[str, list[dict[str, Any]]]) -> None:
+    (out / "table.md").write_text(table(report), encoding="utf-8")
+    partial = out / ".report.json.partial"
+    partial.write_text(json.dumps(without_nan(report), indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, out / "report.json")
+    with (out / "predictions.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        names = ["true", "estimate", "spread", "novelty", "contact"]
+        writer.writerow(["split", "index", "object", "shape", "radius_mm", "peak_force_n", *names])
+        for split, predictions in found.items():
+            for prediction in predictions:
+                row = [prediction["row"][key] for key in ("index", "object", "shape", "radius_mm", "peak_force_n")]
+                writer.writerow([split, *row, *(prediction[name] for name in names)])
+    for split, predictions in found.items():
+        known = [prediction for prediction in predictions if prediction["true"] is not None]
+        if known:
+            plots.against_truth(
+                out / f"{split}.png", TITLES.get(split, split), *(_column(known, name) for name in ("true", "estimate", "spread"))
+            )
+    everything = [prediction for predictions in found.values() for prediction in predictions if prediction["true"] is not None]
+    if everything and np.isfinite(_column(everything, "spread")).all():
+        plots.spread_honesty(out / "calibration.png", *(_column(everything, name) for name in ("true", "estimate", "spread")))
+    if everything:
+        plots.errors_by(out / "errors.png", {name: report["all"][f"by_{name}"] for name in ("shape", "radius", "hardness", "force")})
+
+
+def without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: without_nan(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [without_nan(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,103 @@
+"""From a recording to the pictures that a network sees: averaged to its size, and chosen by how much they changed. Plain NumPy.
+
+The signal of a frame is its mean intensity change, a proxy for the force (Yuan et al., ICRA 2017, "Choosing input sequences"):
+
+    s_t = mean over pixels and colours of max(|I_t − B| − deadband, 0)        [levels of 255]
+
+B is the no-contact frame. Loading begins at the first frame with s over a threshold and ends at the largest s (the last such frame).
+T frames are taken between at equal steps of s, so that neither speed nor frame rate matters. The paper names neither its threshold nor
+a deadband: with 0 this is its rule; above, pixels that only carry noise do not count. Left out: anything that looks at where the change is.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learn.config import InputConfig
+
+FIXED_POINT = 256
+"""Averaged pictures are kept as uint16 in this fraction of a level: averaging many pixels resolves less than one level."""
+
+
+@lru_cache(maxsize=32)
+def _averaging(source: int, target: int) -> NDArray[np.float32]:
+    """Exact area average of `source` pixels to `target` (linear between pixels where it enlarges), shape (target, source)."""
+    edges = np.linspace(0, source, target + 1)
+    if target > source:
+        centres = np.clip((edges[:-1] + edges[1:]) / 2 - 0.5, 0, source - 1)
+        weights = np.maximum(0, 1 - np.abs(centres[:, None] - np.arange(source)))
+    else:
+        pixel = np.arange(source)
+        weights = np.clip(np.minimum(edges[1:, None], pixel + 1) - np.maximum(edges[:-1, None], pixel), 0, None)
+    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def fit_picture(image: NDArray[np.uint8], picture: tuple[int, int]) -> NDArray[np.uint16]:
+    """An image cut to the picture's proportions about its centre (an upright one turned by 90° first) and averaged to its size.
+
+    Args:
+        image: (H, W, 3), 8 bit. picture: rows and columns wanted.
+    Returns:
+        Levels times FIXED_POINT, shape (*picture, 3).
+    """
+    rows, columns = picture
+    if (image.shape[0] > image.shape[1]) != (rows > columns) and rows != columns:
+        image = np.rot90(image)
+    height, width = image.shape[:2]
+    # The paper's network takes squares of pictures that are none: those are squeezed, not cut.
+    if rows != columns:
+        tall, wide = min(height, round(width * rows / columns)), min(width, round(height * columns / rows))
+        top, left = (height - tall) // 2, (width - wide) // 2
+        image = image[top : top + tall, left : left + wide]
+    down, across = _averaging(image.shape[0], rows), _averaging(image.shape[1], columns)
+    first = np.tensordot(down, image.astype(np.float32), axes=(1, 0))
+    return np.rint(np.einsum("cw,rwk->rck", across, first, optimize=True) * FIXED_POINT).astype(np.uint16)
+
+
+def levels_of(stored: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Averaged pictures in levels of 255."""
+    return (stored / np.float32(FIXED_POINT)).astype(np.float32, copy=False)
+
+
+def averaged_pixels(shape: tuple[int, ...], picture: tuple[int, int]) -> float:
+    """How many pixels of an image (H, W, …) go into one of the picture: independent noise falls by its root."""
+    return max(1.0, shape[0] * shape[1] / (picture[0] * picture[1]))
+
+
+def change_signal(pictures: NDArray[np.floating], background: NDArray[np.floating], deadband: float) -> NDArray[np.float64]:
+    """s_t of pictures (N, h, w, 3) against the no-contact picture (h, w, 3), all in levels; shape (N,)."""
+    return np.array([np.maximum(np.abs(picture - background) - deadband, 0).mean(dtype=np.float64) for picture in pictures])
+
+
+def loading(signal: NDArray[np.floating], config: InputConfig, end_share: float = 1.0) -> NDArray[np.intp]:
+    """The frames of the loading: from the first over the threshold to the first at `end_share` of the peak, at 1 the peak itself.
+
+    Returns:
+        Increasing indices; empty when nothing touches.
+    """
+    over = np.flatnonzero(signal > config.contact_levels)
+    if len(over) == 0:
+        return over
+    peak = len(signal) - 1 - int(np.argmax(signal[::-1]))
+    end = peak if end_share >= 1 else min(peak, int(np.argmax(signal >= end_share * signal[peak])))
+    return np.arange(over[0], max(end, over[0]) + 1)
+
+
+def equal_steps(signal: NDArray[np.floating], among: NDArray[np.intp], count: int, repeat: bool = False) -> NDArray[np.intp]:
+    """`count` of the frames `among`, at equal steps of the signal from its first to its last, in order of time.
+
+    Args:
+        repeat: Always give `count` of them, the same frame more than once if need be; else each once.
+    """
+    targets = np.linspace(signal[among[0]], signal[among[-1]], count)
+    # Signals may dip on the way up: the first frame that has reached a target is the one, which keeps the order.
+    reached = np.maximum.accumulate(signal[among])
+    after = np.clip(np.searchsorted(reached, targets), 0, len(among) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.where(np.abs(reached[before] - targets) < np.abs(reached[after] - targets), before, after)
+    nearer[-1] = len(among) - 1
+    nearer = np.maximum.accumulate(nearer)
+    return among[nearer if repeat else np.unique(nearer)]

@@ -1,0 +1,123 @@
+"""`gelsim-learn predict`: what a press says about the hardness of what was pressed, how sure that is, and whether to trust it at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelsim.errors import GelsimError
+from learn.checkpoint import load
+from learn.config import LearnError
+from learn.data import HARDEST, choose
+from learn.estimate import estimate, pick_device
+from learn.novelty import novelty_from_plain
+from learn.video import Source, sources
+
+SHIPPED = "default"
+"""The name of the checkpoint in assets/models/."""
+
+
+def shipped_model(name: str) -> Path:
+    """A checkpoint by path, or by name among the shipped ones.
+
+    Raises:
+        LearnError: There is none.
+    """
+    path = Path(name)
+    if path.suffix or path.exists():
+        return path
+    beside = Path(__file__).parent.parent
+    places = [beside / folder / "models" / f"{name}.pt" for folder in ("gelsim/_assets", "assets")]
+    for place in places:
+        if place.is_file():
+            return place
+    raise LearnError(f"--model {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
+
+
+def predict(
+    model: Path,
+    videos: Sequence[Path],
+    *,
+    background: Path | None = None,
+    start: float = 0.0,
+    seconds: float | None = None,
+    device: str = "auto",
+) -> Iterator[dict[str, Any]]:
+    """One answer a press, as they come.
+
+    Yields:
+        source, status ("ok", "no contact" or "unreadable"), note; when ok also shore_00, spread (None: the network knows none), frames,
+        novelty (distance over the threshold; None: not fitted), unlike_training, true (None: unknown).
+    Raises:
+        LearnError: The checkpoint cannot be used.
+    """
+    checkpoint, where = load(model), pick_device(device)
+    network = checkpoint.build().to(where)
+    novelty = novelty_from_plain(checkpoint.novelty)
+    inputs, repeat = checkpoint.config.input, checkpoint.config.model.model == "paper"
+    for video in videos:
+        for name, read in _listed(video, inputs, background, start, seconds):
+            try:
+                source = read()
+            except GelsimError as error:
+                yield {"source": name, "status": "unreadable", "note": str(error)}
+                continue
+            press = choose(source.recording, inputs, repeat)
+            if press is None:
+                peak = float(source.recording.signal.max())
+                note = (
+                    f"no contact in {len(source.recording.pictures)} frames: the intensity changes by {peak:.3f} levels at most, "
+                    f"contact begins at {inputs.contact_levels:g}"
+                )
+                yield {"source": source.name, "status": "no contact", "note": note, "true": source.true}
+                continue
+            said = estimate(network, [press], where)
+            spread = float(said.spread[0]) * checkpoint.spread_factor
+            distance = None if novelty is None else float(novelty.distance(said.statistics)[0]) / novelty.threshold
+            unlike = distance is not None and not distance <= 1
+            yield {
+                "source": source.name,
+                "status": "ok",
+                "shore_00": float(said.mean[0]),
+                "spread": spread if np.isfinite(spread) else None,
+                "frames": len(press.pictures),
+                "novelty": distance,
+                "unlike_training": unlike,
+                "true": source.true,
+                "note": _note(float(said.mean[0]), distance if unlike else None),
+            }
+
+
+def _listed(video: Path, *options: Any) -> Iterator[tuple[str, Callable[[], Source]]]:
+    """The presses of a path; a path that has none is one that cannot be read."""
+    try:
+        yield from sources(video, *options)
+    except GelsimError as error:
+
+        def refuse(reason: GelsimError = error) -> Source:
+            raise reason
+
+        yield str(video), refuse
+
+
+def _note(mean: float, distance: float | None) -> str:
+    notes = []
+    if distance is not None:
+        notes.append(f"unlike anything it was trained on ({distance:.1f} times the distance of its validation presses): do not trust this")
+    if mean > HARDEST:
+        notes.append(f"harder than any silicone it was trained on ({HARDEST:g})")
+    return "; ".join(notes)
+
+
+def in_words(answer: dict[str, Any]) -> str:
+    """One line for people."""
+    if answer["status"] != "ok":
+        text = answer["note"]
+        return text if text.startswith(answer["source"]) else f"{answer['source']}: {text}"
+    spread = "" if answer["spread"] is None else f" ± {answer['spread']:.1f}"
+    true = "" if answer["true"] is None else f" (true: {answer['true']:.1f})"
+    note = f"; {answer['note']}" if answer["note"] else ""
+    return f"{answer['source']}: Shore 00 {answer['shore_00']:.1f}{spread}{true}{note}"

@@ -1,0 +1,394 @@
+"""One training loop: draw, step, log, validate, save. `gelsim-learn train`.
+
+A step is a function of (weights, optimizer, seed, step number): presses, dropout and learning rate are drawn or computed from the seed and
+the step, so a run that is stopped and resumed ends with the very bits of one that was not. Several devices: start it with torchrun; each
+takes its share of every batch (PyTorch's DistributedDataParallel), and the first one writes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import platform
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import distributed
+
+from gelsim.dataset import Dataset, load_dataset
+from learn import checkpoint as checkpoints
+from learn.checkpoint import Checkpoint
+from learn.config import Config, LearnError, TrainConfig, from_plain, to_plain
+from learn.data import Archive, Press, Progress, Steps, Stream, archive, collate, held_presses, sides, varied_press
+from learn.estimate import Estimates, estimate, pick_device
+from learn.logs import Curves
+from learn.model import Network, PaperNet, build, load_vgg, parameter_count
+from learn.novelty import fit_novelty
+
+NOVELTY_DRAWS = 500
+"""Most training draws from which the novelty distance is fitted; ten a press where presses are few."""
+NOVELTY_VARIED = 3
+"""Randomised copies of each validation press, from which, with the press itself, the threshold is taken."""
+CALIBRATION_FEWEST = 8
+"""With fewer validation presses the spread is left as the network says it."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Which of the processes this is."""
+
+    rank: int
+    world: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        return self.rank == 0
+
+
+def train(
+    data: Path,
+    out: Path,
+    config: Config,
+    *,
+    real: Path | None = None,
+    resume: bool = False,
+    force: bool = False,
+    init: Path | None = None,
+    vgg_weights: Path | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Trains to `config.train.steps` and writes a run folder.
+
+    Args:
+        data: A dataset; its splits `train` and `validation` are used. real: A second one, mixed in at `config.train.real_ratio`.
+        out: config.json, run.json, curves.*, tensorboard/, last.pt, model.pt, report.json, cache/.
+        init: A checkpoint to begin from; the config must name the same network.
+    Returns:
+        What report.json holds.
+    Raises:
+        LearnError, DatasetError: Something in the input cannot be used.
+        KeyboardInterrupt: After an interruption, when last.pt has been saved.
+    """
+    with _place(device) as place:
+        return _train(place, data, out, config, real, resume, force, init, vgg_weights, progress if place.first else None)
+
+
+def _train(
+    place: Place, data: Path, out: Path, config: Config, real: Path | None, resume: bool, force: bool, init: Path | None, vgg: Path | None,
+    progress: Progress | None,
+) -> dict[str, Any]:  # fmt: skip
+    began = time.perf_counter()
+    datasets = [load_dataset(path) for path in (data, real) if path is not None]
+    provenance = _provenance(datasets, init, vgg)
+    if place.first:
+        _open_run(out, config, provenance, resume, force)
+    parts, held = _gather(place, datasets, config, out, progress)
+    repeat = config.model.model == "paper"
+    stream = Stream(parts, config, repeat)
+    kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
+    network = _network(config, kept, init, vgg, stream, parts).to(place.device)
+    optimizer = _optimizer(network, config)
+    first = 0
+    best = math.inf
+    if kept is not None:
+        assert kept.optimizer is not None
+        optimizer.load_state_dict(kept.optimizer)
+        first, best = kept.step, kept.best
+    model: torch.nn.Module = torch.nn.parallel.DistributedDataParallel(network) if place.world > 1 else network
+    settings = config.train
+    loader = torch.utils.data.DataLoader(
+        stream,
+        batch_sampler=Steps(first, settings.steps, settings.batch, place.rank, place.world),
+        num_workers=settings.workers,
+        collate_fn=collate,
+        pin_memory=place.device.type == "cuda",
+        persistent_workers=settings.workers > 0,
+        # Forked ones share the mapped pictures.
+        multiprocessing_context="fork" if settings.workers else None,
+    )
+    curves = Curves(out, first) if place.first else None
+    autocast = _autocast(config, place.device)
+    seen, loop_began, since, losses = 0, time.perf_counter(), time.perf_counter(), []
+
+    def save(step: int) -> None:
+        state = Checkpoint(config, step, network.state_dict(), optimizer.state_dict(), best, provenance=provenance)
+        checkpoints.save(out / "last.pt", state)
+
+    with _stop_signal(place) as stop:
+        for step, batch in enumerate(loader, start=first):
+            for group in optimizer.param_groups:
+                group["lr"] = rate_at(step, config)
+            torch.manual_seed(int(np.random.SeedSequence([settings.seed, 4, step, place.rank]).generate_state(1)[0]))
+            batch = batch.to(place.device)
+            model.train()
+            with autocast():
+                output = model(batch)
+            loss = network.loss(output, batch)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            if settings.clip:
+                torch.nn.utils.clip_grad_norm_(network.parameters(), settings.clip)
+            optimizer.step()
+            losses.append(loss.detach())
+            seen += settings.batch
+            done = step + 1
+            if done % settings.validate_every == 0 or done == settings.steps:
+                if not all(torch.isfinite(value) for value in losses):
+                    raise LearnError(f"train: the loss is not finite before step {done}; try a lower --rate than {settings.rate:g}")
+                if curves is not None:
+                    found = _validation(network, held, place.device)
+                    seconds = time.perf_counter() - since
+                    mean = float(torch.stack(losses).mean())
+                    curves.add(done, loss=mean, rate=rate_at(step, config), videos_per_s=len(losses) * settings.batch / seconds, **found)
+                    if found.get("validation_loss", mean) < best:
+                        best = found.get("validation_loss", mean)
+                        checkpoints.save(out / "model.pt", Checkpoint(config, done, network.state_dict(), best=best, provenance=provenance))
+                    save(done)
+                    curves.draw()
+                losses, since = [], time.perf_counter()
+            if progress:
+                progress("training", done, settings.steps)
+            if stop:
+                save(done)
+                if curves is not None:
+                    curves.close()
+                raise KeyboardInterrupt
+    loop = time.perf_counter() - loop_began
+    if place.world > 1:
+        distributed.barrier()
+    if curves is None:
+        return {}
+    curves.close()
+    report = _finish(out, config, stream, held, place.device, provenance)
+    report |= {
+        "parameters": parameter_count(network),
+        "device": _device_name(place.device),
+        "devices": place.world,
+        "steps_now": settings.steps - first,
+        "videos_per_s": round(seen / loop, 2) if seen else None,
+        "seconds": round(time.perf_counter() - began, 1),
+        "without_contact": stream.without_contact,
+    }
+    _write_json(out / "report.json", report)
+    return report
+
+
+def rate_at(step: int, config: Config) -> float:
+    """The learning rate of a step: the paper's stairs, or ours: a ramp and a half cosine down to a hundredth."""
+    settings = config.train
+    if config.model.model == "paper":
+        return settings.rate * settings.step_factor ** (step // settings.step_size)
+    if step < settings.warmup:
+        return settings.rate * (step + 1) / settings.warmup
+    share = (step - settings.warmup) / max(settings.steps - settings.warmup, 1)
+    return settings.rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share)))
+
+
+def _optimizer(network: Network, config: Config) -> torch.optim.Optimizer:
+    settings: TrainConfig = config.train
+    if isinstance(network, PaperNet):
+        return torch.optim.SGD(network.parameters(), lr=settings.rate, momentum=settings.momentum, weight_decay=settings.weight_decay)
+    # Biases and gains of normalisation are not pulled to zero.
+    decayed = [parameter for parameter in network.parameters() if parameter.ndim > 1]
+    free = [parameter for parameter in network.parameters() if parameter.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": free, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=settings.rate)
+
+
+def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Path | None, stream: Stream, parts: list[Archive]) -> Network:
+    if kept is not None:
+        return kept.build()
+    if init is not None:
+        begun = checkpoints.load(init)
+        if (begun.config.model, begun.config.input) != (config.model, config.input):
+            raise LearnError(f"--init {init}: its network and input are others than this run's")
+        return begun.build()
+    torch.manual_seed(config.train.seed)
+    network = build(config)
+    known = np.array([row["shore_00"] for part in parts for row in part.rows if row["shore_00"] is not None], float)
+    if len(known) == 0:
+        raise LearnError("train: no press of known hardness to train on")
+    network.centre.fill_(float(known.mean()))
+    network.scale.fill_(max(float(known.std()), 1.0))
+    if vgg is not None:
+        if not isinstance(network, PaperNet):
+            raise LearnError("--vgg-weights: only --model paper has a VGG16")
+        load_vgg(network, vgg)
+    return network
+
+
+def _gather(
+    place: Place, datasets: list[Dataset], config: Config, out: Path, progress: Progress | None
+) -> tuple[list[Archive], list[Press]]:
+    """The archives to train on, and the presses to validate on: real ones where there are any."""
+    cache = out / "cache"
+    divided = [sides(dataset, config.train.seed) for dataset in datasets]
+    if len(datasets) == 2 and config.train.real_presses:
+        chosen = np.random.default_rng([config.train.seed, 5]).permutation(divided[1][0])[: config.train.real_presses]
+        divided[1] = (sorted(map(int, chosen)), divided[1][1])
+    if not place.first:  # the first process fills the cache, the others map it
+        distributed.barrier()
+    parts = [archive(dataset, train, config.input, cache, progress) for dataset, (train, _) in zip(datasets, divided, strict=True)]
+    with_validation = [number for number, (_, validation) in enumerate(divided) if validation]
+    held: list[Press] = []
+    if place.first and with_validation:
+        number = with_validation[-1]
+        part = archive(datasets[number], divided[number][1], config.input, cache, progress)
+        presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
+        held = [press for press in presses if press is not None]
+    if place.first and place.world > 1:
+        distributed.barrier()
+    return parts, held
+
+
+def _validation(network: Network, held: list[Press], device: torch.device) -> dict[str, float]:
+    if not held:
+        return {}
+    found = estimate(network, held, device)
+    target = np.array([press.target for press in held])
+    known = np.isfinite(target)
+    if not known.any():
+        return {"validation_loss": found.loss}
+    return {"validation_loss": found.loss, "validation_rmse": float(np.sqrt(((found.mean - target)[known] ** 2).mean()))}
+
+
+def spread_factor(found: Estimates, target: np.ndarray) -> float:
+    """By which the spreads must be multiplied for errors to be as large as they say: the maximum of the likelihood of normal errors."""
+    known = np.isfinite(target) & np.isfinite(found.spread)
+    if known.sum() < CALIBRATION_FEWEST:
+        return 1.0
+    return float(np.sqrt((((found.mean - target) / found.spread)[known] ** 2).mean()))
+
+
+def _finish(
+    out: Path, config: Config, stream: Stream, held: list[Press], device: torch.device, provenance: dict[str, Any]
+) -> dict[str, Any]:
+    """Fits the spread's factor and the novelty distance to the best network and writes them with it."""
+    best = checkpoints.load(out / "model.pt")
+    network = best.build().to(device)
+    # Beyond the last step: draws that no step saw.
+    start = config.train.steps * config.train.batch
+    draws = [stream[start + number] for number in range(min(NOVELTY_DRAWS, 10 * stream.presses))]
+    trained = estimate(network, draws, device).statistics
+    report: dict[str, Any] = {"step": best.step, "validation_loss": best.best, "validation_presses": len(held)}
+    statistics = torch.empty((0, trained.shape[1]), dtype=trained.dtype)
+    if held:
+        found = estimate(network, held, device)
+        target = np.array([press.target for press in held])
+        best.spread_factor = spread_factor(found, target)
+        rng = np.random.default_rng([config.train.seed, 6])
+        varied = [varied_press(press, rng, config) for press in held for _ in range(NOVELTY_VARIED)] if config.augment.augment else []
+        # What randomisation may have made of a press is not unlike the training either.
+        statistics = estimate(network, [*held, *varied], device).statistics
+        known = np.isfinite(target)
+        if known.any():
+            report["validation_rmse"] = float(np.sqrt(((found.mean - target)[known] ** 2).mean()))
+            report["validation_rmse_of_mean"] = float(np.sqrt(((target[known] - float(network.centre)) ** 2).mean()))
+    novelty = fit_novelty(trained, statistics)
+    best.novelty = novelty.to_plain()
+    checkpoints.save(out / "model.pt", best)
+    return report | {"spread_factor": best.spread_factor, "novelty_threshold": novelty.threshold, "provenance": provenance}
+
+
+def _open_run(out: Path, config: Config, provenance: dict[str, Any], resume: bool, force: bool) -> None:
+    there = (out / "config.json").is_file()
+    if resume:
+        if not there:
+            raise LearnError(f"--out {out}: no run to go on with (it has no config.json)")
+        kept = read_run(out)
+        if to_plain(kept) != to_plain(replace(config, train=replace(config.train, workers=kept.train.workers))):
+            raise LearnError(f"--out {out}: was begun with other settings; --resume takes them from its config.json")
+        before = json.loads((out / "run.json").read_text(encoding="utf-8"))
+        if before.get("data") != provenance["data"]:
+            raise LearnError(f"--out {out}: was begun with other data")
+        return
+    if out.exists() and any(out.iterdir()):
+        if not force:
+            raise LearnError(f"--out {out}: exists; give --resume to go on with it, or --force to begin again")
+        for name in ("last.pt", "model.pt", "report.json", "curves.csv", "curves.png"):
+            (out / name).unlink(missing_ok=True)
+        for events in (out / "tensorboard").glob("events.*"):
+            events.unlink()
+    out.mkdir(parents=True, exist_ok=True)
+    _write_json(out / "run.json", provenance)
+    _write_json(out / "config.json", to_plain(config))
+
+
+def read_run(out: Path) -> Config:
+    """The config of a run. Raises LearnError."""
+    try:
+        return from_plain(json.loads((out / "config.json").read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise LearnError(f"{out / 'config.json'}: cannot be read ({error})") from None
+
+
+def _provenance(datasets: list[Dataset], init: Path | None, vgg: Path | None) -> dict[str, Any]:
+    described = []
+    for dataset in datasets:
+        digest = hashlib.sha256(json.dumps([dataset.rows, dataset.splits], sort_keys=True).encode()).hexdigest()
+        described.append(
+            {"name": dataset.folder.resolve().name, "domain": dataset.info.get("domain"), "presses": len(dataset), "sha256": digest}
+        )
+    start = str(init.name) if init else f"VGG16 of {vgg.name}" if vgg else "random weights"
+    return {"data": described, "begun_from": start, "versions": {"torch": str(torch.__version__), "python": platform.python_version()}}
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+
+
+def _autocast(config: Config, device: torch.device) -> Any:
+    low = config.train.precision == "bfloat16" or (config.train.precision == "auto" and device.type == "cuda")
+    return (lambda: torch.autocast(device.type, dtype=torch.bfloat16)) if low else contextlib.nullcontext
+
+
+def _device_name(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads"
+
+
+@contextlib.contextmanager
+def _place(device: str) -> Iterator[Place]:
+    """This process among those that torchrun started, or alone."""
+    chosen, world = pick_device(device), int(os.environ.get("WORLD_SIZE", "1"))
+    # Sums in a fixed order: the same seed gives the same weights.
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
+    if world == 1:
+        yield Place(0, 1, chosen)
+        return
+    if chosen.type == "cuda":
+        chosen = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
+        torch.cuda.set_device(chosen)
+    distributed.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+    try:
+        yield Place(distributed.get_rank(), world, chosen)
+    finally:
+        distributed.destroy_process_group()
+
+
+@contextlib.contextmanager
+def _stop_signal(place: Place) -> Iterator[list[int]]:
+    """A list that is no longer empty once somebody wants the run to stop. Of several processes none listens: torchrun ends them."""
+    asked: list[int] = []
+    if place.world > 1:
+        yield asked
+        return
+    before = {number: signal.signal(number, lambda number, _: asked.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

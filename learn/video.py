@@ -1,0 +1,165 @@
+"""Where presses come from when they are to be predicted: a video file, a folder of frames, an episode, a dataset. Reading is bounded.
+
+A press lasts seconds. What is longer is refused with a word on how to cut it, before it is decoded where the file says its length, after
+MOST_FRAMES frames where it does not. Frames are averaged to the network's size as they come, so memory does not grow with their size.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.dataset import load_dataset, read_episode
+from learn.config import InputConfig, LearnError
+from learn.data import Recording, record_episode, with_noise
+from learn.frames import change_signal, fit_picture, levels_of
+
+MOST_SECONDS, MOST_FRAMES, MOST_PIXELS = 60.0, 1800, 2**25
+"""A minute at 30 frames a second; pictures of up to 33 million pixels."""
+HEADER_SECONDS = 30.0
+"""Within which the decoder must say what a file is."""
+FEWEST_FRAMES = 2
+"""The no-contact frame, and one of the press."""
+BLACK_LEVELS = 3.0
+"""A picture darker than this on average shows no membrane [levels of 255]."""
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One press to be predicted."""
+
+    name: str
+    recording: Recording
+    true: float | None = None
+    """Shore 00 where the source knows it."""
+
+
+def sources(
+    path: Path, inputs: InputConfig, background: Path | None = None, start: float = 0.0, seconds: float | None = None
+) -> Iterator[tuple[str, Callable[[], Source]]]:
+    """The presses of a path: the name of each, and what reads it, so that one that cannot be read does not end the others.
+
+    Args:
+        background: A picture of the sensor that touches nothing; default: the first frame (episodes bring their own).
+        start, seconds: The part of a video that is the press [s].
+    Raises:
+        LearnError, DatasetError: It cannot be read, is too long, too short or black; by the readers too.
+    """
+    if (path / "meta" / "info.json").is_file():
+        dataset = load_dataset(path)
+        for row in dataset.rows:
+            yield f"{path}#{row['index']}", partial(_episode, dataset.folder / row["file"], f"{path}#{row['index']}", inputs)
+    elif path.suffix == ".tar":
+        yield str(path), partial(_episode, path, str(path), inputs)
+    elif path.is_dir():
+        yield str(path), lambda: _recorded(path, _folder(path), inputs, background)
+    elif path.is_file():
+        yield str(path), lambda: _recorded(path, _video(path, start, seconds), inputs, background)
+    else:
+        raise LearnError(f"{path}: no such file or folder")
+
+
+def _episode(path: Path, name: str, inputs: InputConfig) -> Source:
+    episode = read_episode(path)
+    recording = with_noise(record_episode(episode, inputs), [3, episode.row["index"]], inputs)
+    return _checked(Source(name, recording, episode.row["shore_00"]))
+
+
+def _recorded(path: Path, frames: Iterator[NDArray[np.uint8]], inputs: InputConfig, background: Path | None) -> Source:
+    pictures = []
+    with contextlib.closing(frames):  # type: ignore[type-var]
+        for frame in frames:
+            if len(pictures) == MOST_FRAMES:
+                raise LearnError(f"{path}: more than {MOST_FRAMES} frames; a press lasts seconds: cut it, or give --start and --seconds")
+            pictures.append(fit_picture(frame, inputs.picture))
+    if len(pictures) + (background is not None) < FEWEST_FRAMES or not pictures:
+        what = "1 frame" if len(pictures) == 1 else f"{len(pictures)} frames"
+        raise LearnError(f"{path}: {what}; a press takes at least {FEWEST_FRAMES}: the sensor untouched, then pressed")
+    levels = levels_of(np.stack(pictures))
+    if background is None:
+        empty = levels[0]
+    else:
+        empty = levels_of(fit_picture(_picture(background), inputs.picture))
+    return _checked(Source(str(path), Recording(empty, levels, change_signal(levels, empty, inputs.deadband_levels))))
+
+
+def _checked(source: Source) -> Source:
+    if source.recording.pictures.mean() < BLACK_LEVELS:
+        raise LearnError(f"{source.name}: is black (mean level {source.recording.pictures.mean():.1f} of 255): no light, or no membrane")
+    return source
+
+
+def _folder(path: Path) -> Iterator[NDArray[np.uint8]]:
+    inside = path / "frames" if (path / "frames").is_dir() else path
+    files = sorted(file for file in inside.iterdir() if file.suffix.lower() in PICTURES)
+    if not files:
+        raise LearnError(f"{path}: holds no pictures ({', '.join(PICTURES)}), no frames/ and no dataset")
+    for file in files:
+        yield _picture(file)
+
+
+def _picture(path: Path) -> NDArray[np.uint8]:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise LearnError(f"{path}: {image.width} × {image.height} pixels; allowed are {MOST_PIXELS} in all")
+            return np.array(image.convert("RGB"))
+    except LearnError:
+        raise
+    except Exception as error:  # a stranger's file: whatever its reader says, the answer is the same
+        raise LearnError(f"{path}: is no picture that can be read ({' '.join(str(error).split())[:150]})") from None
+
+
+def _video(path: Path, start: float, seconds: float | None) -> Iterator[NDArray[np.uint8]]:
+    import imageio_ffmpeg
+
+    if not (np.isfinite(start) and start >= 0) or (seconds is not None and not 0 < seconds <= MOST_SECONDS):
+        raise LearnError(f"--start {start} --seconds {seconds}: allowed are 0 s or later, and up to {MOST_SECONDS:g} s")
+    # A file may be a playlist: what it names must be files too.
+    decoder = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", "-protocol_whitelist", "file"]
+    window = ["-ss", f"{start:.3f}"] + ([] if seconds is None else ["-t", f"{seconds:.3f}"])
+    source = ["-i", str(path.absolute())]
+    try:
+        about = subprocess.run([*decoder, *source], capture_output=True, timeout=HEADER_SECONDS).stderr.decode(errors="replace")
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise LearnError(f"{path}: the decoder did not answer ({type(error).__name__})") from None
+    said = re.search(r"Duration: (\d+):(\d+):([\d.]+)", about)
+    length = int(said[1]) * 3600 + int(said[2]) * 60 + float(said[3]) if said else 0.0
+    if seconds is None and length - start > MOST_SECONDS:
+        raise LearnError(
+            f"{path}: lasts {_duration(length - start)}; a press lasts seconds, allowed are {MOST_SECONDS:g} s: "
+            "cut it, or give --start and --seconds"
+        )
+    if "Video:" not in about:
+        raise LearnError(f"{path}: is no video that can be read")
+    # Portable pixmaps bear their size: nothing has to be known of the stream beforehand.
+    pixmaps = ["-an", "-sn", "-dn", "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
+    command = [*decoder, "-loglevel", "quiet", *window, *source, *pixmaps]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        try:
+            while process.stdout.readline(8) == b"P6\n":
+                width, height = map(int, process.stdout.readline(32).split())
+                if width * height > MOST_PIXELS:
+                    raise LearnError(f"{path}: {width} × {height} pixels; allowed are {MOST_PIXELS} in all")
+                process.stdout.readline(8)
+                content = process.stdout.read(width * height * 3)
+                if len(content) == width * height * 3:
+                    yield np.frombuffer(content, np.uint8).reshape(height, width, 3)
+        finally:
+            process.kill()
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds / 60:.1f} min"

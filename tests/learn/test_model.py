@@ -1,0 +1,171 @@
+"""The networks: what they must not depend on, what their losses mean, and that they can learn at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from conftest import TINY
+
+from gelsim.dataset import load_dataset
+from learn.config import LearnError, configure
+from learn.data import HARDEST, Batch, Stream, archive, collate, sides
+from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, load_vgg, parameter_count
+
+CONFIG = configure(**TINY)
+
+
+@pytest.fixture(scope="module")
+def batch(fake_data: Path) -> Batch:
+    dataset = load_dataset(fake_data)
+    stream = Stream([archive(dataset, sides(dataset, 0)[0], CONFIG.input)], CONFIG, False)
+    return collate([stream[position] for position in range(8)], at_least=CONFIG.input.frames)
+
+
+def with_output(
+    lengths: list[int], mean: torch.Tensor, spread: torch.Tensor | None, target: list[float], rigid: bool = False
+) -> tuple[Output, Batch]:
+    count, steps = mean.shape
+    nothing = torch.zeros((count, steps, 3, 1, 1))
+    batch = Batch(
+        nothing, nothing[:, 0], torch.zeros(count, steps), torch.tensor(lengths), torch.tensor(target), torch.full((count,), rigid)
+    )
+    return Output(mean, spread, torch.zeros(count, 1)), batch
+
+
+def test_ours_is_compact() -> None:
+    assert parameter_count(build(configure())) <= 10_000_000
+
+
+def test_padding_does_not_change_an_output(batch: Batch) -> None:
+    torch.manual_seed(0)
+    network = build(CONFIG).eval()
+    garbage = batch.pictures.clone()
+    for number, length in enumerate(batch.lengths):
+        garbage[number, length:] = 255 * torch.rand_like(garbage[number, length:])
+    assert (batch.lengths < batch.pictures.shape[1]).any()
+    with torch.no_grad():
+        mean, spread = network.estimate(network(batch), batch.lengths)
+        other_mean, other_spread = network.estimate(network(replace(batch, pictures=garbage)), batch.lengths)
+        assert spread is not None and other_spread is not None
+        # Of one shape: the very bits. Of another, sums may be taken in another order: float32 over ~1e3 terms on a scale of 25.
+        assert torch.equal(mean, other_mean) and torch.equal(spread, other_spread)
+        longest = int(batch.lengths.max())
+        short = replace(batch, pictures=batch.pictures[:, :longest], signal=batch.signal[:, :longest])
+        one = Batch(*(getattr(short, name)[2:3] for name in Batch.__dataclass_fields__))
+        alone = network.estimate(network(one), one.lengths)[0]
+        assert network.estimate(network(short), batch.lengths)[0] == pytest.approx(mean, abs=25 * 1e-4)
+        assert alone == pytest.approx(mean[2:3], abs=25 * 1e-4)
+        # A picture that is none of the padding does count.
+        garbage[:, 0] = 255 - garbage[:, 0]
+        assert not torch.allclose(network.estimate(network(replace(batch, pictures=garbage)), batch.lengths)[0], mean, atol=25 * 1e-4)
+
+
+def test_one_batch_can_be_learnt_by_heart(batch: Batch) -> None:
+    torch.manual_seed(0)
+    known = ~torch.isnan(batch.target)
+    part = Batch(*(getattr(batch, name)[known] for name in Batch.__dataclass_fields__))
+    network = build(CONFIG)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=5e-3)
+    for _ in range(150):
+        optimizer.zero_grad()
+        network.loss(network(part), part).backward()
+        optimizer.step()
+    with torch.no_grad():
+        error = network.estimate(network.eval()(part), part.lengths)[0] - part.target
+    # The hardness of these presses is spread by about 25.
+    assert error.square().mean().sqrt() < 0.15 * part.target.std()
+
+
+def test_the_likelihood_is_least_at_the_truth_and_counts_only_real_pictures() -> None:
+    torch.manual_seed(0)
+    network = build(CONFIG)
+    assert isinstance(network, PressNet)
+    scale = float(network.scale)
+
+    def loss(mean: float, spread: float, padded: float = 0.0) -> float:
+        output, batch = with_output([2], torch.tensor([[mean, mean, padded]]), torch.tensor([[spread, spread, 1.0]]), [40.0])
+        return float(network.loss(output, batch))
+
+    expected = (0.5 * (5 / 8) ** 2 + np.log(8)) * (8 / scale) ** (2 * BETA)
+    assert loss(45.0, 8.0) == pytest.approx(expected, rel=1e-6) and loss(45.0, 8.0, 1e3) == loss(45.0, 8.0)
+    assert loss(40.0, 8.0) < loss(45.0, 8.0)
+
+
+def test_the_spread_learns_the_size_of_the_errors() -> None:
+    """The gradient over log s vanishes where s² = (y − m)²: the weight s^(2β) is held constant."""
+    network = build(CONFIG)
+    for factor, sign in ((0.5, -1), (1.0, 0), (2.0, 1)):
+        log_spread = torch.tensor([[np.log(5.0 * factor)]], requires_grad=True)
+        output, batch = with_output([1], torch.tensor([[45.0]]), log_spread.exp(), [40.0])
+        network.loss(output, batch).backward()
+        assert log_spread.grad is not None
+        gradient = float(log_spread.grad)
+        assert abs(gradient) < 1e-6 if sign == 0 else gradient * sign > 0.01
+
+
+def test_a_rigid_object_is_only_known_to_be_harder() -> None:
+    network = build(CONFIG)
+    losses = []
+    for mean in (HARDEST - 20, HARDEST, HARDEST + 20, HARDEST + 60):
+        output, batch = with_output([1], torch.tensor([[mean]]), torch.tensor([[5.0]]), [float("nan")], rigid=True)
+        losses.append(float(network.loss(output, batch)))
+    assert losses == sorted(losses, reverse=True) and losses[-1] < 1e-6
+    assert losses[1] == pytest.approx(np.log(2) * 5 / float(network.scale), rel=1e-5)  # P(y > HARDEST) = 1/2
+
+
+def test_vgg16_has_torchvisions_layers() -> None:
+    """Names and shapes of torchvision's VGG16 file (its fc8, classifier.6, is not used); the sizes are those of the 2015 paper."""
+    with torch.device("meta"):
+        network = PaperNet(configure("paper").model)
+    shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    convolutions = [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
+    assert [name for name in shapes if name.startswith("features.") and name.endswith("weight")] == [
+        f"features.{number}.weight" for number in convolutions
+    ]
+    assert shapes["features.0.weight"] == (64, 3, 3, 3) and shapes["features.28.weight"] == (512, 512, 3, 3)
+    assert shapes["classifier.0.weight"] == (4096, 25088) and shapes["classifier.3.weight"] == (4096, 4096)
+    vgg = sum(int(np.prod(shape)) for name, shape in shapes.items() if name.startswith(("features.", "classifier.")))
+    assert vgg == 138_357_544 - 4_097_000  # the published number of parameters less those of fc8
+
+
+def test_the_papers_estimate_is_the_mean_of_the_last_three_and_its_loss_is_hubers() -> None:
+    with torch.device("meta"):
+        network = PaperNet(configure("paper").model)
+    output, batch = with_output([5, 4], torch.tensor([[90.0, 90.0, 40.0, 42.0, 44.0], [90.0, 30.0, 31.0, 35.0, 90.0]]), None, [43.0, 32.0])
+    assert network.estimate(output, batch.lengths)[0].tolist() == [42.0, 32.0]
+    each = [[-3, -1, 1], [-2, -1, 3]]
+    huber = [np.mean([0.5 * e**2 if abs(e) <= HUBER_DELTA else HUBER_DELTA * (abs(e) - HUBER_DELTA / 2) for e in row]) for row in each]
+    assert float(network.loss(output, batch)) == pytest.approx(np.mean(huber), rel=1e-6)
+
+
+def test_weights_of_the_wrong_size_are_refused(tmp_path: Path) -> None:
+    with torch.device("meta"):
+        network = PaperNet(configure("paper").model)
+    torch.save({"features.0.weight": torch.zeros(64, 3, 5, 5)}, tmp_path / "vgg.pth")
+    with pytest.raises(LearnError, match=r"features.0.weight should have shape \(64, 3, 3, 3\), the file has \(64, 3, 5, 5\)"):
+        load_vgg(network, tmp_path / "vgg.pth")
+
+
+@pytest.mark.slow
+def test_the_papers_network_runs_and_takes_its_weights(tmp_path: Path) -> None:
+    config = configure("paper")
+    torch.manual_seed(0)
+    network = PaperNet(config.model).eval()
+    one = network.state_dict()["features.28.bias"]
+    torch.save(
+        {name: tensor for name, tensor in network.state_dict().items() if name.startswith(("features.", "classifier."))}, tmp_path / "w.pth"
+    )
+    other = PaperNet(config.model).eval()
+    assert not torch.equal(other.state_dict()["features.28.bias"], one)
+    load_vgg(other, tmp_path / "w.pth")
+    assert torch.equal(other.state_dict()["features.28.bias"], one)
+    pictures = 255 * torch.rand(1, 3, 3, 224, 224)
+    batch = Batch(pictures, pictures[:, 0], torch.ones(1, 3), torch.tensor([3]), torch.tensor([30.0]), torch.tensor([False]))
+    with torch.no_grad():
+        # The first picture is subtracted: a change of all three alike changes nothing (up to float32 of a difference of 255 levels).
+        a, b = (other(replace(batch, pictures=part)).mean for part in (pictures, pictures + 16.0))
+        assert a.shape == (1, 3) and torch.allclose(a, b, atol=1e-4)

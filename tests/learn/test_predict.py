@@ -1,0 +1,152 @@
+"""Predictions from whatever people have: odd videos get a clear answer each, strange ones are called strange."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import torch
+from conftest import COLUMNS, ROWS, fake_dataset, fake_press, fake_row
+from PIL import Image
+
+from gelsim.dataset import load_dataset
+from learn import cli
+from learn.novelty import fit_novelty
+from learn.predict import in_words, predict
+from learn.video import MOST_SECONDS
+
+
+def film(path: Path, frames: np.ndarray, fps: float = 30) -> Path:
+    """A lossless video."""
+    size = f"{frames.shape[2]}x{frames.shape[1]}"
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y", *raw, "-c:v", "ffv1", "-pix_fmt", "bgr0", str(path)]
+    subprocess.run(command, input=frames.tobytes(), check=True)
+    return path
+
+
+@pytest.fixture(scope="module")
+def press(fake_data: Path) -> np.ndarray:
+    episode = load_dataset(fake_data).read(4)
+    return np.concatenate([episode.background[None], episode.frames])
+
+
+def ask(run: Path, *videos: Path, **options: Any) -> list[dict[str, Any]]:
+    return list(predict(run / "model.pt", videos, **options))
+
+
+def test_a_video_a_folder_and_an_episode_give_one_answer(fake_data: Path, tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    video = film(tmp_path / "press.mkv", press)
+    (tmp_path / "folder" / "frames").mkdir(parents=True)
+    for number, frame in enumerate(press):
+        Image.fromarray(frame).save(tmp_path / "folder" / "frames" / f"{number:04d}.png")
+    episode = fake_data / load_dataset(fake_data).rows[4]["file"]
+    answers = ask(tiny_run, video, tmp_path / "folder", episode)
+    assert [answer["status"] for answer in answers] == ["ok"] * 3 and all(answer["spread"] > 0 for answer in answers)
+    assert answers[0]["shore_00"] == answers[1]["shore_00"]  # ffv1 is lossless
+    # The episode's own camera noise is drawn, the film's is not.
+    assert answers[2]["shore_00"] == pytest.approx(answers[0]["shore_00"], abs=5) and answers[2]["true"] is not None
+    assert "Shore 00" in in_words(answers[0]) and "true" in in_words(answers[2])
+
+
+def test_odd_videos_get_a_clear_answer_each(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    still = np.repeat(press[:1], 8, axis=0)
+    long = film(tmp_path / "long.mkv", np.repeat(still, 20, axis=0), fps=0.0111)
+    (tmp_path / "text.mp4").write_text("no video")
+    (tmp_path / "empty").mkdir()
+    odd = {
+        long: ("unreadable", "lasts 4.0 h; a press lasts seconds"),
+        film(tmp_path / "one.mkv", press[:1]): ("unreadable", "1 frame; a press takes at least 2"),
+        film(tmp_path / "black.mkv", np.zeros_like(press)): ("unreadable", "is black"),
+        film(tmp_path / "still.mkv", still): ("no contact", "no contact in 8 frames"),
+        tmp_path / "text.mp4": ("unreadable", "is no video that can be read"),
+        tmp_path / "empty": ("unreadable", "holds no pictures"),
+        tmp_path / "none.mp4": ("unreadable", "no such file"),
+    }
+    start = time.process_time()
+    answers = ask(tiny_run, *odd)
+    assert time.process_time() - start < 20
+    for answer, (status, words) in zip(answers, odd.values(), strict=True):
+        assert answer["status"] == status and words in in_words(answer), answer
+    # A part of the long one can be asked for.
+    assert ask(tiny_run, long, start=0.0, seconds=MOST_SECONDS)[0]["status"] in ("no contact", "unreadable")
+
+
+def test_one_damaged_episode_does_not_end_a_dataset(tiny_run: Path, tmp_path: Path) -> None:
+    data = fake_dataset(tmp_path / "data", seed=3, rigid=False)
+    dataset = load_dataset(data)
+    (data / dataset.rows[1]["file"]).write_bytes(b"nothing")
+    answers = ask(tiny_run, data)
+    assert len(answers) == len(dataset) and [answer["status"] for answer in answers[:3]] == ["ok", "unreadable", "ok"]
+    assert answers[1]["source"].endswith("#1")
+
+
+def test_a_video_that_does_not_say_its_length_is_cut_off(
+    tiny_run: Path, press: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("learn.video.MOST_FRAMES", 5)
+    assert "more than 5 frames" in ask(tiny_run, film(tmp_path / "many.mkv", press))[0]["note"]
+
+
+def test_what_is_unlike_the_training_is_called_so(tiny_run: Path, press: np.ndarray, tmp_path: Path, rng: np.random.Generator) -> None:
+    like = ask(tiny_run, film(tmp_path / "like.mkv", press))[0]
+    coarse = rng.integers(0, 256, (6, 6, 8, 3), dtype=np.uint8)
+    strange = np.repeat(np.repeat(coarse, 6, axis=1), 6, axis=2)
+    answer = ask(tiny_run, film(tmp_path / "strange.mkv", strange))[0]
+    assert not like["unlike_training"] and answer["unlike_training"] and answer["novelty"] > 2 * like["novelty"]
+    assert "do not trust" in in_words(answer)
+
+
+def test_distance_is_one_for_presses_like_those(rng: np.random.Generator) -> None:
+    mixing = rng.normal(size=(12, 12))
+    draw = torch.from_numpy(rng.normal(size=(4000, 12)) @ mixing + 5)
+    fitted = fit_novelty(draw[:2000], draw[2000:3000])
+    inside = fitted.distance(draw[3000:])
+    # d² is chi-square of 12 over 12: mean 1; shrinking by a tenth toward the diagonal changes it by about as much.
+    assert float((inside**2).mean()) == pytest.approx(1, abs=0.25)
+    # 99 % of 1,000 stay below: four standard deviations of such a share are 1.3 %.
+    assert float((inside > fitted.threshold).double().mean()) <= 0.01 + 0.013
+    assert float(fitted.distance(draw[:1] + 40)[0]) > fitted.threshold
+
+
+# ---- the command line ----
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["train", "--help"]])
+def test_help_is_instant(arguments: list[str]) -> None:
+    code = f"import sys; from learn.cli import main\ntry: main({arguments!r})\nexcept SystemExit: pass\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "usage: gelsim-learn" in done.stdout
+    assert not {"torch", "numpy", "matplotlib", "imageio_ffmpeg"} & set(done.stdout.splitlines()[-1].split())
+
+
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, words in (
+        (["train", "--data", "x", "--out", "y", "--stepz", "3"], "nearest is --steps"),
+        (["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")], "is no dataset"),
+        (["train", "--data", "x", "--out", "y", "--batch", "many"], "batch = 'many': expected int"),
+        (["eval", "--model", str(tmp_path / "no.pt"), "--data", str(tmp_path)], "no"),
+        (["predict", "--model", "default", "x.mp4"], "no shipped checkpoint"),
+        (["nonsense"], "COMMAND"),
+    ):
+        assert cli.main(arguments) == 2
+        told = capsys.readouterr().err
+        assert words in told and told.count("\n") == 1, told
+
+
+def test_exit_codes_of_predict(tiny_run: Path, press: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, model = film(tmp_path / "press.mkv", press), str(tiny_run / "model.pt")
+    assert cli.main(["predict", "--model", model, str(good)]) == 0
+    assert cli.main(["predict", "--model", model, str(good), "none.mp4"]) == 4
+    assert cli.main(["predict", "--model", model, "none.mp4"]) == 2
+    assert capsys.readouterr().out.count("Shore 00") == 2
+
+
+def test_the_fake_press_is_as_large_as_its_dataset(rng: np.random.Generator) -> None:
+    assert fake_press(30.0, 5.0, 1.0, 3, rng, fake_row(0, "a")).frames.shape == (3, ROWS, COLUMNS, 3)

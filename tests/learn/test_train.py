@@ -1,0 +1,179 @@
+"""Training as a whole: resume equals an uninterrupted run, checkpoints run nothing, several devices equal one."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from conftest import TINY, fake_dataset
+
+from learn import checkpoint
+from learn.config import LearnError, configure, from_plain, to_plain
+from learn.logs import read_curves
+from learn.train import rate_at, train
+
+
+def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
+    config = configure(**TINY, steps=6)
+
+    def stop_after_two(stage: str, done: int, total: int) -> None:
+        if stage == "training" and done == 2:  # not at a checkpoint of its own
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(fake_data, tmp_path / "run", config, progress=stop_after_two)
+    half = checkpoint.load(tmp_path / "run" / "last.pt")
+    assert half.step == 2
+    train(fake_data, tmp_path / "run", config, resume=True)
+    whole, resumed = (checkpoint.load(folder / "last.pt") for folder in (tiny_run, tmp_path / "run"))
+    assert whole.step == resumed.step == 6 and whole.optimizer and resumed.optimizer
+    for name, tensor in whole.network.items():
+        assert torch.equal(tensor, resumed.network[name]), name
+        if name not in ("centre", "scale"):
+            assert not torch.equal(tensor, half.network[name]), name  # it did learn meanwhile
+    for number, state in whole.optimizer["state"].items():
+        assert all(torch.equal(value, resumed.optimizer["state"][number][key]) for key, value in state.items())
+    assert whole.best == resumed.best
+    best = [checkpoint.load(folder / "model.pt") for folder in (tiny_run, tmp_path / "run")]
+    assert best[0].spread_factor == best[1].spread_factor and best[0].novelty is not None and best[1].novelty is not None
+    assert torch.equal(best[0].novelty["whitening"], best[1].novelty["whitening"])
+    assert [row for row in read_curves(tiny_run) if row[1] == "validation_loss"] == [
+        row for row in read_curves(tmp_path / "run") if row[1] == "validation_loss"
+    ]
+
+
+def test_a_run_writes_what_it_promises(tiny_run: Path) -> None:
+    names = {path.name for path in tiny_run.iterdir()}
+    assert {"config.json", "run.json", "curves.csv", "curves.png", "tensorboard", "last.pt", "model.pt", "report.json"} <= names
+    assert any((tiny_run / "tensorboard").glob("events.*"))
+    assert from_plain(json.loads((tiny_run / "config.json").read_text())) == configure(**TINY, steps=6)
+    report = json.loads((tiny_run / "report.json").read_text())
+    assert report["validation_presses"] > 0 and report["validation_rmse"] > 0 and report["provenance"]["begun_from"] == "random weights"
+    assert str(tiny_run) not in (tiny_run / "run.json").read_text()  # no path of this machine travels with a checkpoint
+
+
+def test_an_existing_run_is_not_touched(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
+    with pytest.raises(LearnError, match="--resume"):
+        train(fake_data, tiny_run, configure(**TINY, steps=6))
+    with pytest.raises(LearnError, match="other settings"):
+        train(fake_data, tiny_run, configure(**TINY, steps=7), resume=True)
+    with pytest.raises(LearnError, match="no run"):
+        train(fake_data, tmp_path / "nothing", configure(**TINY, steps=6), resume=True)
+    other = fake_dataset(tmp_path / "other", seed=1, rigid=False)
+    with pytest.raises(LearnError, match="other data"):
+        train(other, tiny_run, configure(**TINY, steps=6), resume=True)
+
+
+def test_fine_tuning_on_a_few_real_presses_begins_from_the_network(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
+    real = fake_dataset(tmp_path / "real", seed=2, domain="real")
+    config = configure(**TINY, steps=1, real_presses=5, rate=0.0)
+    report = train(fake_data, tmp_path / "tuned", config, real=real, init=tiny_run / "model.pt")
+    assert report["provenance"]["begun_from"] == "model.pt" and len(report["provenance"]["data"]) == 2
+    before, after = (checkpoint.load(path / "model.pt").network for path in (tiny_run, tmp_path / "tuned"))
+    assert all(torch.equal(before[name], after[name]) for name in before)  # at rate 0
+    with pytest.raises(LearnError, match="network and input are others"):
+        train(fake_data, tmp_path / "wrong", configure(**TINY | {"hidden": 8}, steps=1), init=tiny_run / "model.pt")
+
+
+def test_the_papers_rate_falls_in_steps() -> None:
+    config = configure("paper")
+    assert [rate_at(step, config) for step in (0, 999, 1000, 2500)] == pytest.approx([1e-3, 1e-3, 1e-4, 1e-5])
+    assert config.train.steps == 10_000 and config.input.frames == 5
+
+
+def test_our_rate_rises_and_falls() -> None:
+    config = configure(steps=1000, warmup=100)
+    rates = [rate_at(step, config) for step in range(1000)]
+    assert max(rates) == rates[99] == rates[100] == config.train.rate and rates[0] == config.train.rate / 100
+    assert rates[-1] < 0.02 * config.train.rate and rates[550] == pytest.approx(0.505 * config.train.rate)
+
+
+# ---- checkpoints ----
+
+
+class Payload:
+    """Runs code when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (open, (str(self.trace), "w"))
+
+
+def test_a_pickled_payload_is_refused_and_not_run(tiny_run: Path, tmp_path: Path) -> None:
+    good = torch.load(tiny_run / "model.pt", weights_only=True)
+    trace = tmp_path / "trace"
+    torch.save(good | {"provenance": {"note": Payload(trace)}}, tmp_path / "bad.pt")
+    with pytest.raises(LearnError, match="was not loaded"):
+        checkpoint.load(tmp_path / "bad.pt")
+    assert not trace.exists()
+    torch.load(tmp_path / "bad.pt", weights_only=False)["provenance"]["note"].close()
+    assert trace.exists()  # the payload is a live one
+
+
+def test_damaged_and_foreign_checkpoints_are_refused(tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = torch.load(tiny_run / "model.pt", weights_only=True)
+
+    def refused(words: str, **changes: object) -> None:
+        torch.save(good | changes, tmp_path / "bad.pt")
+        with pytest.raises(LearnError, match=words):
+            checkpoint.load(tmp_path / "bad.pt").build()
+
+    refused("no checkpoint of gelsim-learn", format="other")
+    refused("step is str", step="6")
+    refused("model = 'huge'", config=good["config"] | {"model": good["config"]["model"] | {"model": "huge"}})
+    refused("section 'train'", config=good["config"] | {"train": {}})
+    refused("wants", network=good["network"] | {"head.bias": torch.zeros(3)})
+    refused("wants None", network=good["network"] | {"extra": torch.zeros(3)})
+    (tmp_path / "half.pt").write_bytes((tiny_run / "model.pt").read_bytes()[:5000])
+    with pytest.raises(LearnError, match="was not loaded"):
+        checkpoint.load(tmp_path / "half.pt")
+    with pytest.raises(LearnError, match="cannot be read"):
+        checkpoint.load(tmp_path / "none.pt")
+    monkeypatch.setattr(checkpoint, "LARGEST", 1000)
+    with pytest.raises(LearnError, match="MiB"):
+        checkpoint.load(tiny_run / "model.pt")
+
+
+def test_settings_are_checked() -> None:
+    for wrong, words in (
+        ({"setps": 3}, "nearest is 'steps'"),
+        ({"steps": 0}, "steps = 0"),
+        ({"rate": float("nan")}, "rate = nan"),
+        ({"picture": (8, 8)}, "picture"),
+        ({"batch": 2.5}, "expected int"),
+        ({"mirror": "maybe"}, "expected bool"),
+        ({"model": "paper"}, "224"),
+    ):
+        with pytest.raises(LearnError, match=words):
+            configure(**wrong)
+    config = configure("paper", seed=3)
+    assert from_plain(json.loads(json.dumps(to_plain(config)))) == config
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one(fake_data: Path, tmp_path: Path) -> None:
+    """The gradient of a batch is the mean of its shares': equal up to the order of float32 sums, amplified by Adam's division."""
+    flags = [
+        f"--{name.replace('_', '-')}={'x'.join(map(str, value)) if isinstance(value, tuple) else value}" for name, value in TINY.items()
+    ]
+    flags += ["--steps=2", "--clip=0", f"--data={fake_data}"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "learn.cli"]
+    for command, out in (([sys.executable, "-m", "learn.cli"], "one"), (torchrun, "two")):
+        done = subprocess.run([*command, "train", *flags, f"--out={tmp_path / out}"], env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    one, two = (checkpoint.load(tmp_path / out / "last.pt").network for out in ("one", "two"))
+    begun = checkpoint.load(tmp_path / "one" / "last.pt")
+    moved = replace(begun.config.train).rate
+    for name in one:
+        # Two steps of Adam move a weight by up to twice the rate; shares that were not averaged would differ by as much.
+        assert (one[name] - two[name]).abs().max() <= 0.05 * moved, name
