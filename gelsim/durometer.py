@@ -250,8 +250,8 @@ def write(out: Path, rows: Sequence[Row], scale: str) -> None:
         style = {"sliding": "o-", "sticking": "s-"}.get(name, "--")
         known = [row for row in rows if row[name] is not None]
         left.semilogy([row["reading"] for row in known], [row[name] for row in known], style, label=name, ms=3)
-        over = [(row["reading"], float(row[name] or 0.0) / row[used]) for row in known if row[used]]
-        right.plot(*zip(*over, strict=True), style, label=name, ms=3)
+        over = [(row["reading"], (row[name] or 0.0) / (row[used] or 1.0)) for row in known if row[used]]
+        right.plot([x for x, _ in over], [y for _, y in over], style, label=name, ms=3)
     left.set(xlabel=f"Shore {scale}", ylabel="E [kPa]")
     right.set(xlabel=f"Shore {scale}", ylabel=f"E over that of {used}")
     left.legend(fontsize=8)
