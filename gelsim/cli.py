@@ -162,6 +162,10 @@ def _parser() -> Parser:
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
     inspect.add_argument("--out", metavar="FILE.png", help="where to draw it (default: not drawn)")
+    inspect.add_argument(
+        "--html", metavar="FILE.html", help="of a press: one page with both bodies in 3D, pictures and force; works offline"
+    )
+    inspect.add_argument("--vtu", metavar="DIR", help="of a press: surfaces by state for ParaView, press.pvd")
     inspect.add_argument("--mesh-unit", default="mm", choices=("mm", "cm", "m", "in"), help="unit of a mesh file (default: mm)")
     inspect.add_argument("--force", action="store_true", help="write over an existing --out")
     doctor = commands.add_parser("doctor", help="what this machine can run, and what to install for more")
@@ -240,10 +244,16 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
         raise SceneError("inspect: give a path, or --sensor NAME")
     sensor = build_scene({"sensor": {"preset": options.sensor}}) if options.sensor else None
     facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit) if sensor is None else inspection.inspect_sensor(sensor)
+    for flag in ("out", "html", "vtu"):
+        given = getattr(options, flag)
+        if given and Path(given).exists() and not options.force:
+            raise SceneError(f"--{flag} {given}: exists; give --force to write over it")
+    if options.html or options.vtu:
+        if sensor is not None:
+            raise SceneError("--html, --vtu: they show a press; give the path of one in place of --sensor")
+        facts |= inspection.export(Path(options.path), html=options.html, series=options.vtu)
     if options.out:
         out = Path(options.out)
-        if out.exists() and not options.force:
-            raise SceneError(f"--out {options.out}: exists; give --force to write over it")
         if sensor is None:
             inspection.draw(Path(options.path), out, mesh_unit=options.mesh_unit)
         else:

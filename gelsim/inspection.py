@@ -104,6 +104,28 @@ def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
     sheet.draw_mechanics(out, scene, read_press(folder / "press.npz" if path.is_dir() else path))
 
 
+def export(path: Path, html: str | None = None, series: str | None = None) -> dict[str, str]:
+    """Writes the press at a path as a page, and as a series of surfaces; returns where.
+
+    Raises:
+        SceneError: There is no press.
+    """
+    from gelsim import press_page
+
+    folder = path if path.is_dir() else path.parent
+    file = path / "press.npz" if path.is_dir() else path
+    if file.suffix != ".npz" or not file.is_file():
+        raise SceneError(f"{path}: --html and --vtu show a press: a result folder or a press.npz")
+    press, written = read_press(file), {}
+    if html:
+        press_page.write_page(Path(html), press, sorted((folder / "frames").glob("*.png")), folder.name)
+        written["page"] = html
+    if series:
+        press_page.write_series(Path(series), press)
+        written["series"] = str(Path(series) / "press.pvd")
+    return written
+
+
 def _is_dataset(path: Path) -> bool:
     return (path / "meta" / "info.json").is_file()
 

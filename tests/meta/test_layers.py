@@ -18,7 +18,7 @@ LAYERS = [
     {"solids", "sizing", "mesh_file"},
     {"shapes", "inclusions", "lightfield", "dataset", "motion", "metrics"},
     {"meshing", "profiles", "fem", "membrane", "optics"},
-    {"outputs", "sensor_sheet", "dataset_sheet", "sheet", "fidelity", "reductions"},
+    {"outputs", "sensor_sheet", "dataset_sheet", "sheet", "press_page", "fidelity", "reductions"},
     {"pipeline", "inspection", "doctor", "randomize"},
     {"generate", "study", "calibrate", "durometer", "bench"},
     {"flags"},

@@ -1,0 +1,139 @@
+"""A press to look at and to take elsewhere: one HTML page that works offline, and surfaces by state for ParaView.
+
+The page (plotly, its script inside) shows gel and object in 3D with a slider over the recorded states, the tactile picture of the state
+where there is one, and force against approach. The series is one .vtu a body and state of six-node faces, with displacement and pressure,
+and a press.pvd that holds them by approach.
+
+Left out: what happens inside the bodies; press.npz holds their surfaces only.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelsim.results import Deformation
+from gelsim.units import KPA, MM
+
+MOST_STATES = 40
+"""On a page; of more states every second, third … is shown."""
+GEL_COLOURS = "Viridis"
+
+
+def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), title: str = "press") -> None:
+    """Writes the page.
+
+    Args:
+        frames: PNG files of the states, as many as there are states; none, and the page has no picture.
+    Raises:
+        OSError: The file cannot be written; an older one is left as it was.
+    """
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    count = len(press.approach)
+    states = list(range(0, count, -(-count // MOST_STATES)))
+    if states[-1] != count - 1:
+        states.append(count - 1)
+    pictures = [_data_uri(frame) for frame in frames] if len(frames) == count else []
+    figure = make_subplots(
+        rows=2, cols=2, column_widths=[0.6, 0.4], horizontal_spacing=0.06, vertical_spacing=0.12,
+        specs=[[{"type": "scene", "rowspan": 2}, {"type": "xy"}], [None, {"type": "xy"}]],
+        subplot_titles=("gel (coloured by height) and object", "tactile picture" if pictures else "", "force against approach"),
+    )  # fmt: skip
+    approach, force = press.approach / MM, -press.force[:, 2]
+    moving = _moving(press, states[-1], pictures, approach, force)
+    figure.add_trace(moving[0], row=1, col=1)
+    figure.add_trace(moving[1], row=1, col=1)
+    figure.add_trace(go.Scatter(x=approach, y=force, mode="lines+markers", showlegend=False, marker={"size": 5}), row=2, col=2)
+    figure.add_trace(moving[2], row=2, col=2)
+    if pictures:
+        figure.add_trace(moving[3], row=1, col=2)
+    # The moving traces in the order in which they were added, without the curve.
+    places = [0, 1, 3, *([4] if pictures else [])]
+    figure.frames = [go.Frame(data=_moving(press, i, pictures, approach, force), traces=places, name=str(i)) for i in states]
+    steps = [
+        {
+            "label": f"{approach[i]:.2f}",
+            "method": "animate",
+            "args": [[str(i)], {"mode": "immediate", "frame": {"duration": 0, "redraw": True}, "transition": {"duration": 0}}],
+        }
+        for i in states
+    ]
+    figure.update_layout(
+        title=title,
+        height=760,
+        sliders=[{"active": len(steps) - 1, "steps": steps, "currentvalue": {"prefix": "approach [mm]: "}}],
+        scene={"aspectmode": "data", "xaxis_title": "x [mm]", "yaxis_title": "y [mm]", "zaxis_title": "z [mm]"},
+        margin={"l": 20, "r": 20, "t": 70, "b": 20},
+    )
+    figure.update_xaxes(title_text="approach [mm]", row=2, col=2)
+    figure.update_yaxes(title_text="force [N]", row=2, col=2)
+    figure.update_xaxes(visible=False, row=1, col=2)
+    figure.update_yaxes(visible=False, row=1, col=2)
+    _write_text(path, figure.to_html(include_plotlyjs=True, full_html=True, auto_play=False))
+
+
+def write_series(folder: Path, press: Deformation) -> list[Path]:
+    """Writes gel_NNNN.vtu, object_NNNN.vtu and press.pvd; returns them. Lengths in metres, pressure in pascals."""
+    import meshio
+
+    folder.mkdir(parents=True, exist_ok=True)
+    written, lines = [], []
+    for state, approach in enumerate(press.approach):
+        for part, (name, motion) in enumerate((("gel", press.gel), ("object", press.object))):
+            moved = motion.displacement[state]
+            data = {"displacement": moved} | ({"contact_pressure": press.contact_pressure[state]} if name == "gel" else {})
+            path = folder / f"{name}_{state:04d}.vtu"
+            meshio.Mesh(motion.rest + moved, [("triangle6", motion.faces6)], point_data=data).write(path)
+            written.append(path)
+            lines.append(f'<DataSet timestep="{approach / MM:.9g}" part="{part}" name="{name}" file="{path.name}"/>')
+    body = "\n".join(lines)
+    _write_text(folder / "press.pvd", f'<VTKFile type="Collection" version="0.1"><Collection>\n{body}\n</Collection></VTKFile>\n')
+    return [*written, folder / "press.pvd"]
+
+
+def _moving(press: Deformation, state: int, pictures: Sequence[str], approach: Any, force: Any) -> list[Any]:
+    """What changes from state to state: both surfaces, the point on the curve, the picture."""
+    import plotly.graph_objects as go
+
+    gel = ((press.gel.rest + press.gel.displacement[state]) / MM).astype(np.float32)
+    body = ((press.object.rest + press.object.displacement[state]) / MM).astype(np.float32)
+    low = float((press.gel.rest[:, 2] + press.gel.displacement[..., 2]).min() / MM)
+    pressure = (press.contact_pressure[state] / KPA).astype(np.float32)
+    traces: list[Any] = [
+        go.Mesh3d(
+            **_corners(gel, press.gel.faces), intensity=gel[:, 2], colorscale=GEL_COLOURS, cmin=low,
+            cmax=float(press.gel.rest[:, 2].max() / MM),
+            customdata=pressure, hovertemplate="z %{z:.3f} mm, %{customdata:.2f} kPa<extra>gel</extra>", showscale=False,
+        ),
+        go.Mesh3d(**_corners(body, press.object.faces), color="#b0a090", opacity=0.45, hoverinfo="skip"),
+        go.Scatter(x=[approach[state]], y=[force[state]], mode="markers", marker={"size": 12, "color": "crimson"}, showlegend=False),
+    ]  # fmt: skip
+    if pictures:
+        traces.append(go.Image(source=pictures[state], hoverinfo="skip"))
+    return traces
+
+
+def _corners(points: Any, faces: Any) -> dict[str, Any]:
+    return dict(zip("xyzijk", (*points.T, *faces.T), strict=True))
+
+
+def _data_uri(frame: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(frame.read_bytes()).decode()
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Under a temporary name first: a page is whole or not there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
