@@ -316,8 +316,9 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     elif options.foot:
         raise SceneError("--foot goes with --shore: its press is searched for one reading")
     else:
-        found["modulus_kpa"] = options.modulus_kpa
-        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity)
+        modulus_kpa: float = options.modulus_kpa
+        found["modulus_kpa"] = modulus_kpa
+        found["reading"] = durometer.reading(modulus_kpa * 1e3, options.scale, friction, options.fidelity)
     others = durometer.relations(found["reading"], options.scale)
     found["relations_kpa"] = {name: None if each is None else each / 1e3 for name, each in others.items()}
     if not options.json:
