@@ -316,7 +316,7 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     elif options.foot:
         raise SceneError("--foot goes with --shore: its press is searched for one reading")
     else:
-        modulus_kpa: float = options.modulus_kpa
+        modulus_kpa = float(options.modulus_kpa)
         found["modulus_kpa"] = modulus_kpa
         found["reading"] = durometer.reading(modulus_kpa * 1e3, options.scale, friction, options.fidelity)
     others = durometer.relations(found["reading"], options.scale)
