@@ -66,6 +66,7 @@ examples:
   gelsim dataset --plan paper2017 --episodes 300 --out out/data
   gelsim dataset --plan paper2017 --episodes 7000 --out out/data --resume        goes on where it was killed, or with more
   gelsim dataset --real recordings/ --out out/real                                videos named SHAPE[RADIUS]_HH_NUMBER.avi, or labels.csv
+  gelsim dataset --light-of out/data --sensor gelsight_mini --out out/mini        the same presses, another sensor
   gelsim inspect out/data --out out/data.png
 
 Plans, what they draw, and what the folder holds: docs/datasets.md. Exit code 4: more than 1 % of the episodes failed."""
@@ -151,6 +152,10 @@ def _parser() -> Parser:
     dataset = commands.add_parser("dataset", help="many episodes of a plan, for learning", epilog=DATASET_EXAMPLES)
     dataset.add_argument("--plan", metavar="NAME", default="paper2017", help="a plan, or the path of a TOML file (default: paper2017)")
     dataset.add_argument("--real", metavar="DIR", help="instead of a plan: a folder of recordings of a real sensor, converted")
+    dataset.add_argument(
+        "--light-of", metavar="DIR", help="instead: a simulated dataset, its presses seen by another sensor; needs --sensor"
+    )
+    dataset.add_argument("--sensor", metavar="NAME", help="with --light-of: a sensor preset, or the path of a sensor file")
     dataset.add_argument("--episodes", type=int, metavar="N", help="how many, counted from the first; needed with a plan")
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
@@ -338,8 +343,21 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         return report
     from gelsim import generate
 
+    if (options.light_of is None) != (options.sensor is None):
+        raise SceneError("dataset: --light-of DIR and --sensor NAME go together")
+    if options.light_of:
+        from gelsim.generate.relight import relight
+
+        with _progress() as progress:
+            report = relight(
+                Path(options.light_of), options.sensor, Path(options.out), seed=options.seed, workers=options.workers,
+                resume=options.resume, progress=progress,
+            )  # fmt: skip
+        if not options.json:
+            print(generate.summary(report))
+        return report
     if options.episodes is None:
-        raise SceneError("dataset: give --episodes N, or --real DIR")
+        raise SceneError("dataset: give --episodes N, --real DIR, or --light-of DIR")
     with _progress() as progress:
         report = generate.generate(
             options.plan,

@@ -11,6 +11,7 @@ In the modes "path" and "direct" every episode is traced with its own lights; th
 from __future__ import annotations
 
 import dataclasses
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SceneError
+from gelsim.errors import DatasetError, SceneError
 from gelsim.lightfield import LightField
 from gelsim.results import Membrane
 from gelsim.scene import Camera, Scene
+from gelsim.scene_file import build_scene
 
 QUIET: dict[str, Any] = {"noise_sd": (0.0, 0.0, 0.0), "full_well": (0.0, 0.0, 0.0), "read_noise": (0.0, 0.0, 0.0)}
 """A camera without noise: what is stored; noise is drawn while training."""
@@ -76,6 +78,14 @@ def is_measured(sensor: Scene) -> bool:
     from gelsim.optics import bake
 
     return Path(bake.field_path(sensor)).is_file()
+
+
+def scene_of(content: bytes) -> Scene:
+    """The scene of an episode's scene.toml, every field of which stands there. Raises DatasetError."""
+    try:
+        return build_scene(tomllib.loads(content.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DatasetError(f"scene.toml: is damaged ({error})") from None
 
 
 def noise_of(camera: Camera) -> NDArray[np.float64]:

@@ -76,7 +76,7 @@ def generate(
     count = 1 if device == "cuda" else workers or os.cpu_count() or 1
     start = time.perf_counter()
     info = _info(catalogue)
-    book = _Book(out, info, resume)
+    book = Book(out, info, resume)
     ends = len(catalogue.plan.end_points)
     wanted = {number: [end for end in range(ends) if number * ends + end < episodes] for number in range(-(-episodes // ends))}
     todo = {
@@ -89,7 +89,7 @@ def generate(
     if todo:
         presses = {number: catalogue.press(number) for number in todo}
         if catalogue.plan.mode == "baked":
-            _measure_lights([catalogue.sensor_scene(n) for n in sorted({press.sensor for press in presses.values()})], device, progress)
+            measure_lights([catalogue.sensor_scene(n) for n in sorted({press.sensor for press in presses.values()})], device, progress)
         numbers = list(todo)
         size = BATCH if device == "cuda" else 1
         handfuls = [tuple(numbers[i : i + size]) for i in range(0, len(numbers), size)]
@@ -109,13 +109,16 @@ def generate(
             book.write(quietly=True)
             raise
         book.write()
+    return {"plan": catalogue.plan.name, "seed": seed} | report_of(book, out, episodes, before, count, time.perf_counter() - start)
+
+
+def report_of(book: Book, out: Path, episodes: int, before: int, workers: int, seconds: float) -> dict[str, Any]:
+    """What the command reports of a run that came to its end; `before` of the `episodes` were known when it began."""
     failed = [row for row in book.failures.values() if row["index"] < episodes]
-    seconds = time.perf_counter() - start
-    made = book.count(episodes) - len(failed)
     return {
-        "out": str(out), "plan": catalogue.plan.name, "seed": seed, "episodes": made, "failed": len(failed), "asked": episodes,
-        "failures": failed[:20], "exit_code": 4 if len(failed) > MOST_FAILED * episodes else 0, "workers": count,
-        "seconds": round(seconds, 1), "episodes_per_hour": round(3600 * (episodes - before) / max(seconds, 1e-9), 1),
+        "out": str(out), "episodes": book.count(episodes) - len(failed), "failed": len(failed), "asked": episodes, "failures": failed[:20],
+        "exit_code": 4 if len(failed) > MOST_FAILED * episodes else 0, "workers": workers, "seconds": round(seconds, 1),
+        "episodes_per_hour": round(3600 * (episodes - before) / max(seconds, 1e-9), 1),
         "splits": {name: len(members) for name, members in book.splits().items()},
     }  # fmt: skip
 
@@ -163,7 +166,7 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
                     made = recording.record(catalogue, press, end, solved.motion, studio)
                     light += time.perf_counter() - start
                     path = write_episode(out, made.episode, made.members)
-                    done.rows.append((made.episode.row, _sums_of(path)))
+                    done.rows.append((made.episode.row, sums_of(path)))
                     start = time.perf_counter()
                 done.seconds.append({
                     "press": press.number, "shape": press.scene.object.shape, "episodes": len(ends), "states": len(solved.motion.approach),
@@ -176,13 +179,13 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
     return work
 
 
-def _sums_of(path: Path) -> dict[str, Any]:
+def sums_of(path: Path) -> dict[str, Any]:
     from gelsim.dataset import read_members
 
     return json.loads(read_members(path, ["row.json"])["row.json"])["sums"]
 
 
-def _measure_lights(sensors: list[Scene], device: str, progress: Progress | None) -> None:
+def measure_lights(sensors: list[Scene], device: str, progress: Progress | None) -> None:
     """Light fields that are not in the cache yet: before the workers start, for each takes all cores."""
     missing = [scene for scene in sensors if not is_measured(scene)]
     for done, scene in enumerate(missing):
@@ -196,7 +199,7 @@ def _measure_lights(sensors: list[Scene], device: str, progress: Progress | None
 # ---- the folder ----
 
 
-class _Book:
+class Book:
     """What is done, in memory and in meta/."""
 
     def __init__(self, out: Path, info: dict[str, Any], resume: bool) -> None:
@@ -222,7 +225,7 @@ class _Book:
             earlier = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise SceneError(f"--resume {self.out}: holds files but no dataset ({error}); give another folder") from None
-        for name in ("schema", "plan", "plan_sha256", "seed"):
+        for name in ("schema", "plan", "plan_sha256", "seed", "light_of", "sensor"):
             if earlier.get(name) != ({"schema": SCHEMA} | self.info).get(name):
                 told = "the plan has changed since" if name == "plan_sha256" else f"its {name} is {earlier.get(name)!r}"
                 raise SceneError(f"--resume {self.out}: {told}; give another folder")

@@ -22,8 +22,11 @@ from gelsim.dataset import load_dataset
 from gelsim.errors import DatasetError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.light import relit
+from gelsim.generate.relight import relight, sensor_scene
 from gelsim.generate.run import generate, make_worker
 from gelsim.generate.workers import Done, WorkError, work_through
+from gelsim.lightfield import write_field
+from gelsim.optics import bake
 from gelsim.randomize import Catalogue, EpisodeDraw, load_plan
 from gelsim.scene_file import build_scene
 
@@ -227,3 +230,14 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
             episode.row["peak_force_n"], abs=1e-6
         )
         assert (np.diff(episode.approach) >= 0).all() and episode.noise.shape == (3, 3)
+
+    # The same presses, seen by the same kind of sensor with other draws: mechanics and labels stay, pictures do not.
+    for position in range(len(data)):
+        scene = sensor_scene(data, position, "fingertip2017")
+        write_field(bake.field_path(scene), formula_field(scene))
+    report = relight(tmp_path / "two", "fingertip2017", tmp_path / "other", plan=TINY, seed=8, workers=1)
+    other = load_dataset(tmp_path / "other")
+    assert report["episodes"] == 6 and other.splits == data.splits
+    for first, second in zip(data, other, strict=True):
+        np.testing.assert_array_equal(first.force, second.force)
+        assert first.row["mechanics"] == second.row["mechanics"] and (first.frames != second.frames).any()

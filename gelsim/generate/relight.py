@@ -1,0 +1,121 @@
+"""`gelsim dataset --light-of DIR --sensor NAME`: the presses of a dataset seen by another sensor; no finite elements are solved.
+
+Every episode keeps its mechanics (`gelsim.motion`): gel, motion, force and time stay, light, coat, camera and markers are the new sensor's,
+with what the plan draws by episode drawn anew. A light field is measured for each shape of gel in the dataset, once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelsim.dataset import Dataset, load_dataset, write_episode
+from gelsim.errors import GelsimError, SceneError
+from gelsim.generate import recording
+from gelsim.generate.light import Studio
+from gelsim.generate.run import Book, Progress, measure_lights, report_of, sums_of
+from gelsim.generate.workers import Done, Handful, WorkError, work_through
+from gelsim.randomize import EPISODE, Plan, draw_fields, generator, load_plan
+from gelsim.scene import Scene
+from gelsim.scene_file import build_scene, scene_table
+
+SEEN = ("camera", "lights", "coating", "markers")
+"""What the new sensor brings."""
+
+
+def relight(
+    source: Path, sensor: str, out: Path, *, plan: str | None = None, seed: int = 0, workers: int | None = None, resume: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Makes a dataset of another sensor's pictures; returns what the command reports.
+
+    Args:
+        source: A simulated dataset.
+        sensor: A preset, or the path of a sensor file.
+        plan: Draws what an episode may change; that of the source by default.
+    Raises:
+        SceneError, DatasetError: as `gelsim.generate.run.generate`.
+    """
+    data = load_dataset(source)
+    if data.info.get("domain") != "sim":
+        raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
+    name = plan or str(data.info.get("plan"))
+    load_plan(name)
+    scenes = {sensor_scene(data, position, sensor).gel: sensor_scene(data, position, sensor) for position in range(len(data))}
+    light = {"light_of": {"seed": data.info.get("seed"), "plan_sha256": data.info.get("plan_sha256")}, "sensor": sensor}
+    book = Book(out, data.info | light | {"seed": seed}, resume)
+    start = time.perf_counter()
+    todo = [position for position, row in enumerate(data.rows) if row["index"] not in book.known]
+    before = len(data) - len(todo)
+    book.write()
+    if todo:
+        measure_lights([scene for scene in scenes.values() if scene.render.mode == "baked"], "cpu", progress)
+
+        def lost(handful: Handful, status: str, message: str) -> Done:
+            return Done(handful, failures=[
+                {"index": data.rows[p]["index"], "indices": [data.rows[p]["index"]], "seed": seed, "press": int(data.rows[p]["mechanics"]),
+                 "status": status, "message": message} for p in handful
+            ])  # fmt: skip
+
+        handfuls = [(position,) for position in todo]
+        try:
+            for done in work_through(handfuls, workers or os.cpu_count() or 1, make_relighter, (source, sensor, name, seed, out), lost):
+                book.add(done)
+                if done.error:
+                    raise WorkError(done.error)
+                if progress:
+                    progress("episodes", len(book.known), len(data))
+        except BaseException:
+            book.write(quietly=True)
+            raise
+        book.write()
+    return report_of(book, out, len(data), before, workers or os.cpu_count() or 1, time.perf_counter() - start)
+
+
+def sensor_scene(data: Dataset, position: int, sensor: str) -> Scene:
+    """An episode's scene with another sensor's eye."""
+    from gelsim.generate.light import scene_of
+
+    scene = scene_of(data.member(position, "scene.toml"))
+    other = build_scene({"sensor": {"preset": sensor}})
+    seen = {name: getattr(other, name) for name in SEEN}
+    # The camera has to stand behind window and gel whichever gel that is.
+    return scene.replace(sensor=dataclasses.replace(scene.sensor, preset=sensor), **seen)
+
+
+def make_relighter(source: Path, sensor: str, plan: str, seed: int, out: Path) -> Callable[[Handful], Done]:
+    """What a worker process does with episodes: light, files."""
+    data, drawn, studio = load_dataset(source), load_plan(plan), Studio("cpu")
+
+    def work(handful: Handful) -> Done:
+        done = Done(handful)
+        try:
+            for position in handful:
+                start = time.perf_counter()
+                made = relit_episode(data, position, sensor, drawn, seed, studio)
+                path = write_episode(out, made.episode, made.members)
+                done.rows.append((made.episode.row, sums_of(path)))
+                done.seconds.append({"episode": made.episode.row["index"], "light": round(time.perf_counter() - start, 3)})
+        except GelsimError as error:
+            done.error = str(error)
+        return done
+
+    return work
+
+
+def relit_episode(data: Dataset, position: int, sensor: str, plan: Plan, seed: int, studio: Studio) -> recording.Made:
+    """One episode, drawn again."""
+    row = data.rows[position]
+    base = sensor_scene(data, position, sensor)
+    layer = draw_fields(plan.episode_fields, generator(seed, EPISODE, row["index"], 1), row["index"], base)
+    scene = build_scene(scene_table(base), layer)
+    approach = np.array(data.read(position).approach)
+    kept = {key: value for key, value in row.items() if key not in ("frames", "peak_force_n", "file", "peak_approach_mm")}
+    mechanics = data.member(position, "mechanics.npz")
+    return recording.pictured(scene, base, mechanics, approach, kept | {"sensor": sensor}, studio)
