@@ -1,0 +1,57 @@
+"""What an episode of a plan costs, in seconds of processor time by stage: presses solved and drawn one after the other in this process.
+
+    python docs/studies/dataset_cost.py --plan paper2017 --presses 0 1 2
+
+Processor time, not wall time: it says the same on a busy machine as on a quiet one, nearly. Light fields must be in the cache.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gelsim.dataset import write_episode
+from gelsim.generate import recording
+from gelsim.generate.light import Studio
+from gelsim.randomize import Catalogue, load_plan
+
+
+def main(plan: str = "paper2017", seed: int = 0, presses: tuple[int, ...] = (0,)) -> list[dict[str, float | str]]:
+    """Rows: shape, states, processor seconds of mechanics, of light and of writing an episode, and its size."""
+    catalogue, studio = Catalogue(load_plan(plan), seed), Studio("cpu")
+    ends, rows = range(len(catalogue.plan.end_points)), []
+    for number in presses:
+        press, clock = catalogue.press(number), time.process_time()
+        (solved,) = recording.solve([press])
+        mechanics, light, write, sizes, frames = time.process_time() - clock, 0.0, 0.0, [], []
+        row: dict[str, float | str] = {"press": number, "shape": press.scene.object.shape, "mechanics": round(mechanics / len(ends), 1)}
+        if isinstance(solved, recording.PressFailed):
+            rows.append(row | {"status": solved.status})
+            continue
+        for end in ends:
+            clock = time.process_time()
+            made = recording.record(catalogue, press, end, solved.motion, studio)
+            light, clock = light + time.process_time() - clock, time.process_time()
+            with tempfile.TemporaryDirectory() as folder:
+                sizes.append(write_episode(Path(folder), made.episode, made.members).stat().st_size)
+            write += time.process_time() - clock
+            frames.append(len(made.episode.frames))
+        rows.append(row | {
+            "states": len(solved.motion.approach), "light": round(light / len(ends), 2), "write": round(write / len(ends), 2),
+            "frames": float(np.mean(frames)), "kilobytes": round(float(np.mean(sizes)) / 1e3),
+        })  # fmt: skip
+        print(rows[-1], flush=True)
+    return rows
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plan", default="paper2017")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--presses", type=int, nargs="+", default=[0])
+    options = parser.parse_args()
+    main(options.plan, options.seed, tuple(options.presses))
