@@ -315,15 +315,14 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
             print(durometer.summary(rows, options.scale))
         return {"scale": options.scale, "rows": rows}
     found: dict[str, Any] = {"scale": options.scale, "friction": options.friction, "foot": options.foot}
-    if options.shore is not None:
+    if options.modulus_kpa is not None:
+        if options.foot:
+            raise SceneError("--foot goes with --shore: its press is searched for one reading")
+        found["modulus_kpa"] = options.modulus_kpa
+        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity)
+    else:
         found["reading"] = options.shore
         found["modulus_kpa"] = durometer.modulus(options.shore, options.scale, friction, options.fidelity, options.foot) / 1e3
-    elif options.foot:
-        raise SceneError("--foot goes with --shore: its press is searched for one reading")
-    else:
-        modulus_kpa = float(options.modulus_kpa)
-        found["modulus_kpa"] = modulus_kpa
-        found["reading"] = durometer.reading(modulus_kpa * 1e3, options.scale, friction, options.fidelity)
     others = durometer.relations(found["reading"], options.scale)
     found["relations_kpa"] = {name: None if each is None else each / 1e3 for name, each in others.items()}
     if not options.json:
