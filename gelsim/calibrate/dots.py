@@ -1,8 +1,9 @@
 """Markers in photographs: which pixels they darken, so that the fit leaves these out, and the grid they form without contact.
 
-A pixel belongs to a marker if it is darker than 0.8 of the 70th percentile around it. Of the blobs in the no-contact picture, pitch is the
-median distance to the nearest neighbour, tilt the median direction to it modulo 90 degrees, radius that of the median area. Left out: each
-marker's own place and outline; a grid whose middle is not the gel's.
+A pixel belongs to a marker if it is darker than 0.8 of the 70th percentile around it. Of the blobs in the no-contact picture that its
+border does not cut, pitch and tilt are those of the square grid that fits their centres by least squares, started from the median distance
+and direction to the nearest neighbour; radius is that of the median area. Left out: each marker's own place and outline; a grid whose middle
+is not the gel's.
 """
 
 from __future__ import annotations
@@ -45,13 +46,32 @@ def marker_grid(no_contact: Array, mm_per_px: float) -> Markers | None:
         return None
     numbers = np.arange(1, count + 1)
     areas = np.asarray(ndimage.sum(labels > 0, labels, numbers), float)
-    # Dust is smaller than half a marker, shadows are larger than three.
+    # Dust is smaller than half a marker, shadows are larger than three; what the border cuts has its centre elsewhere.
     usual = (areas > 0.5 * np.median(areas)) & (areas < 3 * np.median(areas))
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    usual &= ~np.isin(numbers, rim)
     centres = np.array(ndimage.center_of_mass(labels > 0, labels, numbers))[usual, ::-1]
     if len(centres) < FEWEST:
         return None
     distances, neighbours = KDTree(centres).query(centres, k=2)
     toward = centres[np.asarray(neighbours)[:, 1]] - centres
     turn = np.angle(np.median(np.exp(4j * np.arctan2(toward[:, 1], toward[:, 0])).view(float).reshape(-1, 2), axis=0) @ [1, 1j]) / 4
-    pitch, radius = float(np.median(np.asarray(distances)[:, 1])) * mm_per_px, float(np.sqrt(np.median(areas[usual]) / np.pi)) * mm_per_px
-    return Markers(layout="grid", pitch_mm=pitch, radius_mm=min(radius, 0.45 * pitch), tilt_deg=float(np.degrees(turn)))
+    step = _grid_step(centres @ [1, 1j], float(np.median(np.asarray(distances)[:, 1])) * complex(np.exp(1j * turn)))
+    pitch, radius = abs(step) * mm_per_px, float(np.sqrt(np.median(areas[usual]) / np.pi)) * mm_per_px
+    tilt = (np.degrees(np.angle(step)) + 45.0) % 90.0 - 45.0
+    return Markers(layout="grid", pitch_mm=pitch, radius_mm=min(radius, 0.45 * pitch), tilt_deg=float(tilt))
+
+
+def _grid_step(places: NDArray[np.complex128], step: complex) -> complex:
+    """The step b of the grid a + b (m + i n) that is nearest to the places x + i y, from a first guess of it."""
+    middle = places[np.abs(places - places.mean()).argmin()]
+    for near in (0.25, 0.5, 1.0, 1.0, 1.0):  # of the places, those nearest to the middle: a wrong step miscounts far ones
+        chosen = places[np.abs(places - middle) <= np.quantile(np.abs(places - middle), near)]
+        index = (chosen - middle) / step
+        whole = np.round(index.real) + 1j * np.round(index.imag)
+        on_grid = np.abs(index - whole) < 0.3
+        if on_grid.sum() < FEWEST:
+            continue
+        columns = np.column_stack([np.ones(on_grid.sum()), whole[on_grid]])
+        middle, step = np.linalg.lstsq(columns, chosen[on_grid], rcond=None)[0]
+    return complex(step)
