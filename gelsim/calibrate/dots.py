@@ -2,8 +2,8 @@
 
 A pixel belongs to a marker if it is darker than 0.8 of the 70th percentile around it. Of the blobs in the no-contact picture that its
 border does not cut, pitch and tilt are those of the square grid that fits their centres by least squares, started from the median distance
-and direction to the nearest neighbour; radius is that of the median area. Left out: each marker's own place and outline; a grid whose middle
-is not the gel's.
+and direction to the nearest neighbour; radius is that of the median area. Left out: each marker's own place and outline; a grid whose
+middle is not the gel's.
 """
 
 from __future__ import annotations
