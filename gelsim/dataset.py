@@ -219,7 +219,8 @@ def write_tar(path: Path, files: Mapping[str, bytes]) -> None:
             entry = tarfile.TarInfo(name)
             entry.size = len(content)
             tar.addfile(entry, io.BytesIO(content))
-    _write_whole(path, buffer.getbuffer())
+        end = tar.offset + 2 * tarfile.BLOCKSIZE  # two empty blocks; tarfile would fill up to 10 kB
+    _write_whole(path, buffer.getbuffer()[:end])
 
 
 class _opened:
