@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gelsim.bench.presses import ball, hemisphere, press_case
-from gelsim.bench.section import Case, Options, Row, Section
+from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.results import Deformation
 from gelsim.scene_file import assets_folder
 
@@ -32,7 +32,7 @@ def _cases(options: Options) -> Iterator[Case]:
             for nu in (0.499,) if quick else (0.49, 0.499):
                 profile = "ball_profile_nu0.499.csv" if nu == 0.499 else None
                 errors = partial(press_errors, name="ball_force.csv", wanted={"nu": nu}, modulus="rigid", profile=profile)
-                scene = ball(nu) | {"fidelity": fidelity}
+                scene: Layer = ball(nu) | {"fidelity": fidelity}
                 yield press_case(f"rigid ball, ν {nu}, {kind}, {fidelity}", scene | {"press": scene["press"] | press}, errors)
             for modulus, nu in ((200.0, 0.499),) if quick else ((50.0, 0.49), (200.0, 0.49), (50.0, 0.499), (200.0, 0.499)):
                 rows = {"nu": nu, "object_modulus_kPa": modulus}
