@@ -212,3 +212,16 @@ def test_episodes_of_wrong_shapes_are_refused() -> None:
         replace(make(), force=np.zeros((2, 3)))
     with pytest.raises(DatasetError, match="uint8 is wanted"):
         replace(make(), frames=make().frames.astype(float))
+
+
+def test_the_mini_dataset_is_whole() -> None:
+    from gelsim.scene_file import assets_folder
+
+    folder = assets_folder() / "mini"
+    assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) <= 8_000_000
+    data = load_dataset(folder)
+    assert len(data) == 54 and not data.failures and survey(folder).rows == data.rows
+    for position in range(0, len(data), 9):
+        episode = data.read(position)
+        assert episode.frames.shape[1:] == (120, 160, 3) and (episode.frames[-1] != episode.background).any()
+        assert set(data.member(position, "mechanics.npz")[:2]) == set(b"PK")
