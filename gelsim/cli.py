@@ -1,4 +1,4 @@
-"""The command line: `gelsim render | press | dataset | calibrate | durometer | bench | inspect | doctor` (what each writes: README.md).
+"""The command line, `gelsim COMMAND` (what each writes: README.md).
 
 Exit codes: 0 done; 2 bad input, one line says which field, its value and what is allowed; 3 the numbers did not come out, what was solved
 is kept; 4 part of a batch failed. Nothing heavy is imported before a command needs it, so that --help is instant.
@@ -20,9 +20,10 @@ from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, read_layer
+from gelsim.study import STUDIES
 
 BAR = "{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}<{remaining} {rate_inv_fmt}"
-OK, INTERNAL, BAD_INPUT, NUMERICS, INTERRUPTED = 0, 1, 2, 3, 130
+OK, INTERNAL, BAD_INPUT, NUMERICS, PARTIAL, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 ABOUT = """\
 gelsim computes what a GelSight tactile sensor sees: finite elements of the gel and the object in contact, then light transport.
@@ -70,6 +71,13 @@ examples:
   gelsim inspect out/data --out out/data.png
 
 Plans, what they draw, and what the folder holds: docs/datasets.md. Exit code 4: more than 1 % of the episodes failed."""
+STUDY_EXAMPLES = """\
+examples:
+  gelsim study --list                                    the ready-made studies, and what can be measured
+  gelsim study gel-hardness --out out/gel-hardness --workers 2
+  gelsim study mine.toml --resume                        a study of your own: docs/studies.md
+
+Writes index.html (one page with all in it), study.csv, study.png, study.md and results.jsonl (a line a case)."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -163,6 +171,16 @@ def _parser() -> Parser:
     dataset.add_argument("--resume", action="store_true", help="go on in an existing folder: episodes that are done are kept")
     dataset.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: one process, presses in batches (default: cpu)")
     _add_output_flags(dataset, _dataset)
+    study = commands.add_parser("study", help="what would another sensor see? a sweep over scene fields", epilog=STUDY_EXAMPLES)
+    study.add_argument("name", nargs="?", metavar="NAME", help=f"of {', '.join(STUDIES)}, or the path of a TOML file")
+    study.add_argument("--list", action="store_true", help="say what the ready-made studies ask, and what can be measured")
+    study.add_argument("--out", metavar="DIR", help="result folder (default: out/study-NAME)")
+    study.add_argument("--quick", action="store_true", help="the study's small form")
+    study.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
+    study.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+    study.add_argument("--force", action="store_true", help="begin again in an existing folder")
+    study.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
+    _add_output_flags(study, _study)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
@@ -371,6 +389,42 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print(generate.summary(report))
     return report
+
+
+def _study(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim.study import definition, runner
+    from gelsim.study.metrics import METRICS
+
+    if options.list:
+        known = {
+            "studies": {name: definition.load_study(name).question for name in STUDIES},
+            "metrics": {name: metric.label for name, metric in METRICS.items()},
+        }
+        if not options.json:
+            for title, table in known.items():
+                print(f"{title}:", *(f"  {name:<36} {said}" for name, said in table.items()), sep="\n")
+        return known
+    if options.name is None:
+        raise SceneError(f"study: give a NAME, of {', '.join(STUDIES)} or a TOML file, or --list")
+    study = definition.load_study(options.name)
+    given = [options.name, *(["--quick"] if options.quick else []), *([f"--workers {options.workers}"] if options.workers > 1 else [])]
+    with _progress() as progress:
+        result = runner.run(
+            study,
+            Path(options.out or f"out/study-{study.name}"),
+            quick=options.quick,
+            resume=options.resume,
+            force=options.force,
+            workers=options.workers,
+            device=options.device,
+            command=" ".join(["gelsim study", *given]),
+            progress=progress,
+        )
+    if not options.json:
+        print(f"{result['question']}\n{result['answer']}\n{result['out']}/index.html: {result['cases']} cases")
+    for item in result["failed"]:
+        print(f"gelsim: failed: {item['case']}: {item['message']}", file=sys.stderr)
+    return result | ({"exit_code": PARTIAL} if result["failed"] else {})
 
 
 def _doctor(options: argparse.Namespace) -> dict[str, Any]:

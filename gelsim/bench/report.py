@@ -6,7 +6,6 @@ is kept.
 
 from __future__ import annotations
 
-import csv
 import os
 import platform
 import re
@@ -56,15 +55,6 @@ def _cell(value: object) -> str:
     if isinstance(value, list):
         return ", ".join(f"{v:.4g}" for v in value)
     return str(value).lower() if isinstance(value, str) and value.isupper() else str(value).replace("|", "\\|")
-
-
-def write_csv(path: Path, rows: list[Row]) -> None:
-    if rows:
-        columns = list(dict.fromkeys(key for row in rows for key in row if key not in ("key", "section")))
-        with path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, columns, extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(rows)
 
 
 def _place(name: str) -> re.Pattern[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any
 
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
-from gelsim.errors import GelsimError, SceneError, SolveStatus
+from gelsim.errors import GelsimError, SolveStatus
+from gelsim.ledger import Ledger, write_csv
 
 RESULTS = "results.jsonl"
 
@@ -33,20 +33,11 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
         SceneError: `out` holds results and neither `resume` nor `force` was given, or `page` has no place for a section.
     """
     options = options or Options()
-    ledger = out / RESULTS
-    if ledger.exists() and not (resume or force):
-        raise SceneError(f"--out {out}: holds a benchmark already; give --resume to go on, --force to begin again")
     wanted = [name for name in SECTIONS if sections is None or name in set(sections)]
     if page is not None:
         report.check_page(page, wanted)
-    out.mkdir(parents=True, exist_ok=True)
-    if force:
-        ledger.unlink(missing_ok=True)
-    known: dict[str, Row] = {}
-    if ledger.exists():
-        for line in ledger.read_text().splitlines():
-            row = json.loads(line)
-            known[row["key"]] = row
+    ledger = Ledger(out / RESULTS, resume=resume, force=force)
+    known = ledger.rows
     todo: list[tuple[str, Case]] = [(name, case) for name in wanted for case in load(name).cases(options)]
     fresh = 0
     for number, (name, case) in enumerate(todo):
@@ -62,9 +53,7 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
             row |= {"status": type(error).__name__, "message": str(error)}
         fresh += 1
         row["load"] = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
-        known[key] = row
-        with ledger.open("a") as file:
-            file.write(json.dumps(row, allow_nan=False) + "\n")
+        ledger.add(row)
     if progress:
         progress("bench", len(todo), len(todo))
     written = [_written(out, name, [f"{s}/{case.name}" for s, case in todo if s == name], known, options.quick) for name in wanted]
@@ -83,7 +72,7 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
 def _written(out: Path, name: str, keys: list[str], known: dict[str, Row], quick: bool) -> report.Table:
     section = load(name)
     rows = section.judge([known[key] for key in keys if key in known])
-    report.write_csv(out / f"{name}.csv", rows)
+    write_csv(out / f"{name}.csv", rows, without=("key", "section"))
     if section.draw is not None and rows:
         section.draw(rows, out)
     return report.Table(name, rows, report.describe(name, section, rows, len(keys), quick))

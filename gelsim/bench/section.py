@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-Row = dict[str, Any]
-"""What is known of a case: plain numbers and texts by field name. `status` is CONVERGED where it was solved."""
+from gelsim.ledger import Row  # `status` is CONVERGED where the case was solved
+
 Layer = dict[str, Any]
 """Part of a scene, as a scene file has it."""
 

@@ -18,12 +18,13 @@ import numpy as np
 from gelsim.dataset import Dataset, load_dataset, write_episode
 from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
+from gelsim.generate.done import Done
 from gelsim.generate.light import Studio
 from gelsim.generate.run import Book, Progress, measure_lights, report_of, sums_of
-from gelsim.generate.workers import Done, Handful, WorkError, work_through
 from gelsim.randomize import EPISODE, Plan, draw_fields, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
+from gelsim.workers import Handful, WorkError, work_through
 
 SEEN = ("camera", "lights", "coating", "markers")
 """What the new sensor brings."""

@@ -18,10 +18,11 @@ from typing import Any
 from gelsim.dataset import SCHEMA, Survey, survey, write_episode, write_meta
 from gelsim.errors import DatasetError, GelsimError, SceneError
 from gelsim.generate import recording
+from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, is_measured
-from gelsim.generate.workers import Done, Handful, WorkError, work_through
 from gelsim.randomize import SPLITS, Catalogue, load_plan
 from gelsim.scene import Scene
+from gelsim.workers import Handful, WorkError, work_through
 
 Progress = Callable[[str, int, int], None]
 

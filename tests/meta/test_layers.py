@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of lower layers and of its own package. Siblings of one layer do not import each other.
 LAYERS = [
     {"errors", "units"},
-    {"geometry", "materials"},
+    {"geometry", "materials", "ledger", "workers"},
     {"scene", "limits", "results"},
     {"scene_file", "markers"},
     {"solids", "sizing", "mesh_file"},

@@ -21,14 +21,15 @@ from gelsim import generate as generating
 from gelsim.dataset import load_dataset
 from gelsim.errors import DatasetError, SceneError
 from gelsim.generate import recording
+from gelsim.generate.done import Done
 from gelsim.generate.light import relit
 from gelsim.generate.relight import relight, sensor_scene
 from gelsim.generate.run import generate, make_worker
-from gelsim.generate.workers import Done, WorkError, work_through
 from gelsim.lightfield import write_field
 from gelsim.optics import bake
 from gelsim.randomize import Catalogue, EpisodeDraw, load_plan
 from gelsim.scene_file import build_scene
+from gelsim.workers import WorkError, work_through
 
 
 def drawn(**fields: Any) -> EpisodeDraw:

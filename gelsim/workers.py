@@ -1,6 +1,6 @@
-"""Local worker processes: each is handed some presses at a time, so that whose press ended a worker is known.
+"""Local worker processes: each is handed a few pieces of work at a time, so that it is known which of them ended a worker.
 
-A worker that dies, or takes longer than SECONDS, is replaced and its presses are listed; a worker whose parent is gone ends itself. Results
+A worker that dies, or takes longer than SECONDS, is replaced and its pieces are listed; a worker whose parent is gone ends itself. Results
 do not depend on which worker made them, nor on how many there are.
 """
 
@@ -12,43 +12,30 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, TypeVar
 
 from gelsim.errors import GelsimError
 
 SECONDS = 1800.0
-"""Allowed for a handful of presses."""
+"""Allowed for a handful."""
 STARTS = 3
 """Workers that may die before they did anything, one after the other."""
 
 Handful = tuple[int, ...]
+"""Numbers of pieces of work."""
 
 
 class WorkError(GelsimError):
     """Work cannot go on: the disk is full, or no worker starts."""
 
 
-@dataclass
-class Done:
-    """What came of a handful of presses."""
-
-    handful: Handful
-    rows: list[tuple[dict[str, Any], dict[str, Any]]] = field(default_factory=list)
-    """Row and pixel sums of each episode written."""
-    failures: list[dict[str, Any]] = field(default_factory=list)
-    seconds: list[dict[str, Any]] = field(default_factory=list)
-    """Of each press, by stage."""
-    error: str | None = None
-    """What ends everything."""
-
-
-Work = Callable[[Handful], Done]
+T = TypeVar("T")
+Work = Callable[[Handful], T]
 
 
 class _Worker:
-    def __init__(self, make: Callable[..., Work], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid()), daemon=True)
@@ -74,10 +61,10 @@ class _Worker:
 def work_through(
     handfuls: Sequence[Handful],
     count: int,
-    make: Callable[..., Work],
+    make: Callable[..., Work[T]],
     arguments: tuple[Any, ...],
-    lost: Callable[[Handful, str, str], Done],
-) -> Iterator[Done]:
+    lost: Callable[[Handful, str, str], T],
+) -> Iterator[T]:
     """Lets `count` processes do all handfuls; yields each as it is done, in whatever order.
 
     Args:
@@ -125,7 +112,7 @@ def work_through(
             worker.end()
 
 
-def _serve(pipe: Connection, make: Callable[..., Work], arguments: tuple[Any, ...], parent: int) -> None:
+def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], parent: int) -> None:
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     work = make(*arguments)
     while True:

@@ -1,0 +1,67 @@
+"""A long computation as a file of lines: one JSON object for each case as soon as it is known, so that a run that was stopped goes on; and
+the same rows as a CSV table.
+
+A line that was cut off when the process was killed is dropped. Left out: two processes that write the same ledger.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gelsim.errors import SceneError
+
+Row = dict[str, Any]
+"""What is known of a case: plain numbers and texts by field name."""
+
+
+class Ledger:
+    """The finished cases of a computation, by key."""
+
+    def __init__(self, path: Path, *, resume: bool = False, force: bool = False) -> None:
+        """Opens or begins a ledger; the file appears with its first line.
+
+        Raises:
+            SceneError: There is one already and neither `resume` (go on) nor `force` (begin again) was given, or it cannot be read.
+        """
+        self.path = path
+        self.rows: dict[str, Row] = {}
+        if path.exists() and not (resume or force):
+            raise SceneError(f"--out {path.parent}: holds {path.name} already; give --resume to go on, --force to begin again")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if force:
+                path.unlink(missing_ok=True)
+            if path.exists():
+                self._read()
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise SceneError(f"{path}: is no ledger that can be gone on with ({error}); give --force to begin again") from None
+
+    def _read(self) -> None:
+        text = self.path.read_text(encoding="utf-8")
+        whole = text[: text.rfind("\n") + 1]
+        if whole != text:
+            self.path.write_text(whole, encoding="utf-8")
+        for line in whole.splitlines():
+            row = json.loads(line)
+            self.rows[row["key"]] = row
+
+    def add(self, row: Row) -> None:
+        """Keeps a row, which has a `key`, and writes its line."""
+        self.rows[row["key"]] = row
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row, allow_nan=False) + "\n")
+
+
+def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], without: Sequence[str] = ()) -> None:
+    """Writes rows as a table with the columns of all of them but `without`; nothing where there are no rows."""
+    rows = list(rows)
+    if rows:
+        columns = list(dict.fromkeys(key for row in rows for key in row if key not in without))
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, columns, extrasaction="ignore")
+            writer.writeheader()
+            writer.writerows(rows)

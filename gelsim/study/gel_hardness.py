@@ -1,0 +1,51 @@
+"""`gel-hardness`: which gel tells which objects apart?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gelsim.ledger import Row
+from gelsim.study.definition import Study
+
+
+def answer(rows: Sequence[Row], study: Study) -> str:
+    """Which objects each gel sees best, which gel is best for the softest and the hardest object, and what is left above 00-70."""
+    metric = study.metrics[0]
+    seen = {(row["gel.shore_00"], row["object.shore_00"]): row[metric] for row in rows if row.get(metric) is not None}
+    if not seen:
+        return "No case gave a number."
+    gels, objects = (sorted({pair[i] for pair in seen}) for i in (0, 1))
+    peaks = {gel: max((pair for pair in seen if pair[0] == gel), key=lambda pair: seen[pair]) for gel in gels}
+    said = ", ".join(f"{gel:g} at {peaks[gel][1]:g}" for gel in gels)
+    text = f"At equal force a gel shows a Shore point best, pixel by pixel, at an object of: {said} (gel at object, Shore 00)."
+    for name, body in (("softest", objects[0]), ("hardest", objects[-1])):
+        best = max((pair for pair in seen if pair[1] == body), key=lambda pair: seen[pair])
+        text += f" The {name} object, 00-{body:g}, is told apart best by the gel of 00-{best[0]:g}."
+    soft = 17 if 17 in gels else gels[0]
+    hard = [value / seen[peaks[gel]] for (gel, body), value in seen.items() if gel == soft and body > 70]
+    if hard:
+        text += f" Above 00-70 a gel of 00-{soft:g} has {100 * max(hard):.0f} % of its best left."
+    return text
+
+
+STUDY = Study(
+    name="gel-hardness",
+    question="Which hardness should a gel have, so that the sensor tells apart objects of a given hardness?",
+    axes={"gel.shore_00": [10, 17, 30, 45], "object.shore_00": [10, 17, 24, 31, 40, 50, 62, 74, 86]},
+    metrics=("slope_change", "slope_equal_force", "slope_equal_depth", "slope_unknown_press"),
+    x="object.shore_00",
+    colour="gel.shore_00",
+    base={
+        "object": {"shape": "hemisphere", "radius_mm": 8.0},
+        "press": {"force_n": 1.0, "symmetry": "axisymmetric"},
+        "markers": {"layout": "none"},
+        "render": {"resolution": [160, 120]},
+        "fidelity": "balanced",
+    },
+    answer=answer,
+    method="A hemisphere of 8 mm is pressed to 1 N, and its neighbours in hardness to the same force, or to the same depth. The signal is "
+    "the slope of the membrane in every pixel of the camera, with a noise of 0.01 a pixel: to first order what the picture shows. d' is "
+    "that of an ideal observer, so it bounds what any method can do; it fights the camera's noise alone, not the spread between presses. "
+    "The literature disagrees by two over what a Shore number means in pascals; it cancels but for the force.",
+    quick={"axes": {"gel.shore_00": [17, 45], "object.shore_00": [17, 80]}},
+)

@@ -1,0 +1,122 @@
+"""The register of what a study can measure: name, what it says with its unit, and how it is got from a trial. All are plain numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gelsim.units import KPA, MM
+
+if TYPE_CHECKING:
+    from gelsim.study.trial import Trial
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Something to be measured of a trial."""
+
+    label: str
+    """What it is, with its unit: the axis of a plot."""
+    measure: Callable[[Trial], float]
+
+
+METRICS: dict[str, Metric] = {}
+
+
+def _metric(name: str, label: str) -> Callable[[Callable[[Trial], float]], Callable[[Trial], float]]:
+    def keep(measure: Callable[[Trial], float]) -> Callable[[Trial], float]:
+        METRICS[name] = Metric(label, measure)
+        return measure
+
+    return keep
+
+
+# ---- mechanics: of the last recorded state ----
+
+
+@_metric("force_n", "normal force [N]")
+def _force(trial: Trial) -> float:
+    return float(trial.force[-1])
+
+
+@_metric("approach_mm", "approach [mm]")
+def _approach(trial: Trial) -> float:
+    return float(trial.press.approach[-1] / MM)
+
+
+@_metric("contact_area_mm2", "contact area [mm²]")
+def _area(trial: Trial) -> float:
+    return float(trial.press.contact_area[-1] / MM**2)
+
+
+@_metric("peak_pressure_kpa", "peak pressure [kPa]")
+def _pressure(trial: Trial) -> float:
+    return float(trial.press.contact_pressure[-1].max() / KPA)
+
+
+@_metric("dent_depth_mm", "depth of the dent [mm]")
+def _dent_depth(trial: Trial) -> float:
+    from gelsim.study.dent import measure_dent
+
+    return trial.once(measure_dent).depth / MM
+
+
+@_metric("dent_width_mm", "width of the dent at half depth [mm]")
+def _dent_width(trial: Trial) -> float:
+    from gelsim.study.dent import measure_dent
+
+    return trial.once(measure_dent).width / MM
+
+
+@_metric("dent_reach_mm", "reach of the dent beyond the contact [mm]")
+def _dent_reach(trial: Trial) -> float:
+    from gelsim.study.dent import measure_dent
+
+    return trial.once(measure_dent).reach / MM
+
+
+@_metric("marker_motion_um", "largest sideways motion of the surface [µm]")
+def _marker_motion(trial: Trial) -> float:
+    from gelsim.study.dent import measure_dent
+
+    return trial.once(measure_dent).sideways * 1e6
+
+
+# ---- telling hardnesses apart (study.discrimination); signal "slope": the membrane's slopes, "picture": levels of the camera ----
+
+
+def _dprime(signal: str, what: str) -> Callable[[Trial], float]:
+    def measure(trial: Trial) -> float:
+        from gelsim.study.discrimination import sensitivity
+
+        return getattr(trial.once(sensitivity, signal), what)
+
+    return measure
+
+
+for _signal in ("slope", "picture"):
+    for _what, _said in (
+        ("equal_depth", "d' per Shore point at equal depth"),
+        ("equal_force", "d' per Shore point at equal force"),
+        ("unknown_press", "d' per Shore point, force and depth unknown"),
+        ("change", "change of a pixel per Shore point / noise"),
+    ):
+        METRICS[f"{_signal}_{_what}"] = Metric(_said, _dprime(_signal, _what))
+
+
+# ---- photometric stereo (study.photometric) ----
+
+
+@_metric("normal_error_deg", "error of recovered normals, mean [°]")
+def _normal_error(trial: Trial) -> float:
+    from gelsim.study.photometric import reconstruct
+
+    return trial.once(reconstruct).normal_error_deg
+
+
+@_metric("height_error_um", "error of recovered height, RMS [µm]")
+def _height_error(trial: Trial) -> float:
+    from gelsim.study.photometric import reconstruct
+
+    return trial.once(reconstruct).height_error_um

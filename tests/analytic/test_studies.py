@@ -1,0 +1,79 @@
+"""Each ready-made study says what physics says, in its quick form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelsim.ledger import Row
+from gelsim.materials import modulus_from_shore_00
+from gelsim.study import runner
+from gelsim.study.definition import load_study, nested
+from gelsim.study.trial import Trial
+
+
+def rows(name: str, out: Path) -> list[Row]:
+    """Of the quick form; no case failed."""
+    told = runner.run(load_study(name), out, quick=True)
+    assert told["failed"] == []
+    return list(runner.Ledger(out / runner.RESULTS, resume=True).rows.values())
+
+
+def long_2011(modulus: float, radius: float, depth: float, thickness: float) -> float:
+    """Force [N] on a ball pressed without friction into a bonded incompressible layer (Long et al. 2011), good to a few per cent."""
+    chi = (radius * depth / thickness**2) ** 1.5
+    alpha = 10.05 - 0.63 * np.sqrt(thickness / radius) * (3.1 + (thickness / radius) ** 2)
+    beta = 4.8 - 4.23 * (thickness / radius) ** 2
+    hertz = 16 / 9 * modulus * np.sqrt(radius) * depth**1.5
+    return hertz * (1 + 1.15 * chi ** (1 / 3) + alpha * chi + beta * chi**2) / (1 + 2.3 * chi)
+
+
+@pytest.mark.slow
+def test_a_thicker_gel_gives_way_and_spreads_and_is_squeezed_out_less(tmp_path: Path) -> None:
+    thin, middle, thick = sorted(rows("gel-thickness", tmp_path), key=lambda row: row["gel.thickness_mm"])
+    assert thin["force_n"] > middle["force_n"] > thick["force_n"]
+    # A half-space's dent (Hertz: a = sqrt(R d)) has fallen to a tenth at about 4 a / (3 π 0.1) from the apex; a layer's is narrower.
+    assert thick["dent_reach_mm"] < np.sqrt(4.0 * 0.5) * (4 / (3 * np.pi * 0.1) - 1)
+    assert thin["dent_reach_mm"] < middle["dent_reach_mm"] < thick["dent_reach_mm"]
+    # An incompressible half-space's surface does not move sideways (Boussinesq, ν = 0.5); a thin layer is squeezed out from under the ball.
+    assert thin["marker_motion_um"] > middle["marker_motion_um"] > thick["marker_motion_um"]
+    # The same press without friction, against a formula of others: it is good to 4 %, `fast` to 2 % (docs/validation.md).
+    study = load_study("gel-thickness")
+    point = {"gel.thickness_mm": 2.4, "object.radius_mm": 4.0, "contact.friction_coefficient": 0.0}
+    force = Trial((study.base, nested(point)), "cpu").force[-1]
+    assert force == pytest.approx(long_2011(modulus_from_shore_00(17.0), 4e-3, 0.5e-3, 2.4e-3), rel=0.06)
+
+
+@pytest.mark.slow
+def test_a_gel_sees_best_what_is_as_soft_as_itself(tmp_path: Path) -> None:
+    seen = {(row["gel.shore_00"], row["object.shore_00"]): row for row in rows("gel-hardness", tmp_path)}
+    change = {pair: row["slope_change"] for pair, row in seen.items()}
+    # Springs in series and Hertz's contact: at equal force the slopes change by S = (x / (1 + x))^(2/3) / (1 + x) for a relative change of
+    # the modulus, x = E / E_gel, and a Shore point changes it by the slope of ln E. A bonded layer is stiffer than x says, by up to three.
+    shores = np.array([17.0, 80.0])
+    by_point = np.array([np.log(modulus_from_shore_00(h + 0.5) / modulus_from_shore_00(h - 0.5)) for h in shores])
+    for gel in (17, 45):
+        found = np.array([change[gel, int(shore)] for shore in shores])
+        expected = []
+        for stiffer in (1.0, 3.0):
+            x = np.array([modulus_from_shore_00(h) for h in shores]) / (stiffer * modulus_from_shore_00(gel))
+            signal = by_point * (x / (1 + x)) ** (2 / 3) / (1 + x)
+            expected.append(signal[-1] / signal[0])
+        # The share of the softest object's signal that is left at the hardest lies between the two, widened by a third as it goes deep.
+        assert min(expected) / 1.33 < found[-1] / found[0] < max(expected) * 1.33
+    # The rule: soft gels for soft objects, hard ones for hard; and a gel of 17 is left with less than half of its best above 70.
+    assert change[17, 17] > change[45, 17] and change[17, 80] < change[45, 80]
+    assert change[17, 80] < 0.5 * change[17, 17]
+    for row in seen.values():
+        assert row["slope_unknown_press"] <= min(row["slope_equal_depth"], row["slope_equal_force"])
+
+
+@pytest.mark.slow
+def test_three_colours_show_what_three_white_lights_cannot(tmp_path: Path) -> None:
+    coloured, white = sorted(rows("light-layout", tmp_path), key=lambda row: row["colours"])
+    # White lights from all around give one number a pixel, for two unknowns: the direction of the slope is lost, so the normal's error is
+    # most of the slope itself. Three colours give three.
+    assert coloured["normal_error_deg"] < 0.5 * white["normal_error_deg"]
+    assert coloured["height_error_um"] < 0.5 * white["height_error_um"]
