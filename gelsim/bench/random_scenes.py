@@ -118,9 +118,10 @@ def _remarks(rows: list[Row]) -> str:
 
     failed = _failed(rows)
     share = 1 - len(failed) / len(rows)
+    verdict = "too few scenes to tell" if len(rows) < COUNT else "met" if share >= WANTED else "NOT MET"
     lines = [
-        f"{len(rows) - len(failed)} of {len(rows)} converge, {100 * share:.2f} % (wanted {100 * WANTED:g} %: "
-        f"{'met' if share >= WANTED else 'NOT MET'}), seed {SEED}.",
+        f"{len(rows) - len(failed)} of {len(rows)} converge, {100 * share:.2f} % "
+        f"(wanted {100 * WANTED:g} % of {COUNT}: {verdict}), seed {SEED}.",
         "",
         *table(
             (
