@@ -7,19 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gelsim import load_dataset
 from learn import cli
 
 MINI = Path(__file__).parents[2] / "assets" / "mini"
-
-
-def test_the_small_dataset_is_whole() -> None:
-    data = load_dataset(MINI)
-    assert len(data) == 60
-    used = [index for rows in data.splits.values() for index in rows]
-    assert sorted(used) == sorted(row["index"] for row in data.rows)
-    episode = data.read(0)
-    assert episode.frames.shape[1:] == (120, 160, 3) and episode.frames.std() > 0
 
 
 @pytest.mark.slow

@@ -220,7 +220,8 @@ def test_the_mini_dataset_is_whole() -> None:
     folder = assets_folder() / "mini"
     assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) <= 8_000_000
     data = load_dataset(folder)
-    assert len(data) == 54 and not data.failures and survey(folder).rows == data.rows
+    assert len(data) == 60 and not data.failures and survey(folder).rows == data.rows
+    assert sorted(index for rows in data.splits.values() for index in rows) == [row["index"] for row in data.rows]
     for position in range(0, len(data), 9):
         episode = data.read(position)
         assert episode.frames.shape[1:] == (120, 160, 3) and (episode.frames[-1] != episode.background).any()

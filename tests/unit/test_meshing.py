@@ -242,8 +242,10 @@ def test_contact_on_one_side_is_meshed_there_alone() -> None:
     assert volume(other) == pytest.approx(volume(mesh), rel=1e-12)
     top = mesh.rest_positions[np.unique(mesh.groups["coated"])]
     beside = [int((np.abs(top[:, 0] - x) < 2e-3).sum()) for x in (7e-3, -7e-3)]
-    # Edges grow by 0.9 of the way from the area, 4 to 10 mm, to 5 mm: at the other side they are that long, a twelfth of the points.
-    assert beside[0] > 6 * beside[1]
+    # Edges grow by 0.9 of the way from the area, 4 to 10 mm, to 5 mm: at the other side they are that long, some twelfth of the points but
+    # for the gel's thickness (found: 5.2 to 6.7 times fewer). A mirror image would have as many; fTetWild's meshes of one field differ by
+    # 1.6 in number (1,950 and 3,040 nodes were seen), squared 2.6.
+    assert beside[0] > 3 * beside[1]
     tilted = scene("cylinder", "flat", depth_mm=0.4, tilt_deg=(8.0, 0.0))
     body = mesh_object(tilted, frozenset("x"), QUIET)
     assert_whole(mesh_object(tilted, frozenset(), QUIET))
