@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.bench import SECTIONS
+from gelsim.console import progress_bars
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, read_layer
 from gelsim.study import STUDIES
 
-BAR = "{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}<{remaining} {rate_inv_fmt}"
 OK, INTERNAL, BAD_INPUT, NUMERICS, PARTIAL, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 ABOUT = """\
@@ -243,7 +243,7 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
     probe = getattr(options, "probe", None)
     from gelsim import pipeline
 
-    with _progress() as progress:
+    with progress_bars() as progress:
         report = pipeline.run(
             scene,
             Path(options.out) if options.out else _default_folder(scene),
@@ -292,7 +292,7 @@ def _bench(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim.bench.section import Options
 
     asked = Options(quick=options.quick, **({"data": Path(options.data)} if options.data else {}))
-    with _progress() as progress:
+    with progress_bars() as progress:
         result = runner.run(
             Path(options.out),
             sections=options.only or SECTIONS,
@@ -311,7 +311,7 @@ def _bench(options: argparse.Namespace) -> dict[str, Any]:
 def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim import calibrate
 
-    with _progress() as progress:
+    with progress_bars() as progress:
         report = calibrate.calibrate(
             Path(options.photos), Path(options.out), sensor=options.sensor, force=options.force, device=options.device, progress=progress
         )
@@ -325,7 +325,7 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
 
     friction: float | str = durometer.SMOOTH if options.friction == "0" else durometer.STICK
     if options.modulus_kpa is None and options.shore is None:
-        with _progress() as progress:
+        with progress_bars() as progress:
             rows = durometer.compare(options.scale, options.fidelity, progress=progress)
         if options.out:
             durometer.write(Path(options.out), rows, options.scale)
@@ -353,7 +353,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
     if options.real:
         from gelsim.generate import real
 
-        with _progress() as progress:
+        with progress_bars() as progress:
             report = real.convert(Path(options.real), Path(options.out), resume=options.resume, progress=progress)
         if not options.json:
             print(real.summary(report))
@@ -365,7 +365,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
     if options.light_of:
         from gelsim.generate.relight import relight
 
-        with _progress() as progress:
+        with progress_bars() as progress:
             report = relight(
                 Path(options.light_of), options.sensor, Path(options.out), seed=options.seed, workers=options.workers,
                 resume=options.resume, progress=progress,
@@ -375,7 +375,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         return report
     if options.episodes is None:
         raise SceneError("dataset: give --episodes N, --real DIR, or --light-of DIR")
-    with _progress() as progress:
+    with progress_bars() as progress:
         report = generate.generate(
             options.plan,
             options.episodes,
@@ -408,7 +408,7 @@ def _study(options: argparse.Namespace) -> dict[str, Any]:
         raise SceneError(f"study: give a NAME, of {', '.join(STUDIES)} or a TOML file, or --list")
     study = definition.load_study(options.name)
     given = [options.name, *(["--quick"] if options.quick else []), *([f"--workers {options.workers}"] if options.workers > 1 else [])]
-    with _progress() as progress:
+    with progress_bars() as progress:
         result = runner.run(
             study,
             Path(options.out or f"out/study-{study.name}"),
@@ -434,31 +434,6 @@ def _doctor(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print(doctor.describe(facts))
     return facts
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None] | None]:
-    """A bar on stderr for each stage; None when nobody looks at a terminal."""
-    if not (sys.stdout.isatty() and sys.stderr.isatty()):
-        yield None
-        return
-    from tqdm import tqdm
-
-    bars: dict[str, tqdm] = {}
-
-    def show(stage: str, done: int, total: int) -> None:
-        if stage not in bars:
-            for bar in bars.values():
-                bar.close()
-            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, bar_format=BAR)
-        bars[stage].n = done
-        bars[stage].refresh()
-
-    try:
-        yield show
-    finally:
-        for bar in bars.values():
-            bar.close()
 
 
 @contextmanager

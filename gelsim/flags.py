@@ -8,18 +8,17 @@ others.
 from __future__ import annotations
 
 import argparse
-import ast
 import dataclasses
 import re
 import tomllib
 import types
 import typing
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
+from gelsim import console
 from gelsim import scene as scene_module
 from gelsim.errors import SceneError
-from gelsim.scene import CHOICES, Scene, field_types, nearest
+from gelsim.scene import CHOICES, Scene, field_types
 from gelsim.scene_file import PRESET_SECTIONS, Layer
 from gelsim.units import unit_of
 
@@ -34,29 +33,13 @@ OWN_NAME = ("object", "press")
 """Sections whose fields are flags by their own name too."""
 
 
-class Parser(argparse.ArgumentParser):
-    """argparse with one-line errors that name the nearest flag."""
+class Parser(console.Parser):
+    """The command line's, with numbers and their names as people write them."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, formatter_class=_Formatter, **options)
+        super().__init__(formatter_class=_Formatter, **options)
         # argparse takes -1e-3 and -1,2 for flags unless told otherwise.
         self._negative_number_matcher = re.compile(r"-[\d.]")
-
-    def error(self, message: str) -> NoReturn:
-        raise SceneError(message.replace("argument ", "flag ", 1) if message.startswith("argument ") else message)
-
-    def parse_all(self, arguments: list[str]) -> argparse.Namespace:
-        """Parse, and refuse what is left over.
-
-        Raises:
-            SceneError: An unknown flag, or a flag without its value.
-        """
-        options, rest = self.parse_known_args(arguments)
-        if rest:
-            known = [flag for action in options.parser._actions for flag in action.option_strings]
-            name = rest[0].split("=")[0]
-            raise SceneError(f"unknown flag {name!r}{nearest(name, known)}")
-        return options
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
@@ -67,7 +50,7 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 def add_scene_flags(parser: argparse.ArgumentParser) -> None:
     """Adds a flag for every field of the scene, grouped by section."""
-    docs = _field_docs()
+    docs = console.field_docs(scene_module)
     for section, kind in field_types(Scene).items():
         if not dataclasses.is_dataclass(kind):
             _add(parser, section, kind, docs["Scene"].get(section, ""), getattr(Scene, section))
@@ -173,20 +156,3 @@ def _default_words(default: Any, from_preset: bool) -> str:
         return ""
     shown = " ".join(str(item) for item in default) if isinstance(default, tuple) else str(default)
     return f"(default: {shown.lower() if isinstance(default, bool) else shown})"
-
-
-def _field_docs() -> dict[str, dict[str, str]]:
-    """Class name -> field -> the string under it, read from the source: Python keeps no docstrings of fields."""
-    docs: dict[str, dict[str, str]] = {}
-    for node in ast.parse(Path(scene_module.__file__).read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.ClassDef):
-            docs[node.name] = {
-                field.target.id: " ".join(text.value.value.split())
-                for field, text in zip(node.body, node.body[1:], strict=False)
-                if isinstance(field, ast.AnnAssign)
-                and isinstance(field.target, ast.Name)
-                and isinstance(text, ast.Expr)
-                and isinstance(text.value, ast.Constant)
-                and isinstance(text.value.value, str)
-            }
-    return docs

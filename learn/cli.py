@@ -6,17 +6,15 @@ Exit codes: 0 done; 2 bad input, one line says what and what is allowed; 4 some 
 from __future__ import annotations
 
 import argparse
-import ast
 import dataclasses
 import difflib
 import json
 import sys
 import typing
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
+from gelsim import console
 from gelsim.errors import GelsimError
 from learn import config as config_module
 from learn.config import PRESETS, Config, LearnError, configure, sections
@@ -36,25 +34,22 @@ gelsim-learn reads hardness (Shore 00) from videos of a tactile sensor that is p
 What each means, and how far to trust it: docs/learner.md."""
 
 
-class Parser(argparse.ArgumentParser):
-    """argparse with one-line errors that name the nearest flag."""
+class Parser(console.Parser):
+    """The command line's."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+    wrong = LearnError
 
-    def error(self, message: str) -> NoReturn:
-        raise LearnError(message.replace("argument ", "flag ", 1) if message.startswith("argument ") else message)
+    @staticmethod
+    def hint(name: str, known: list[str]) -> str:
+        close = difflib.get_close_matches(name, known, n=1)
+        return f"; nearest is {close[0]}" if close else ""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command and returns its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
-        options, rest = _parser().parse_known_args(arguments)
-        if rest:
-            flags = [flag for action in options.parser._actions for flag in action.option_strings]
-            close = difflib.get_close_matches(rest[0].split("=")[0], flags, n=1)
-            raise LearnError(f"unknown flag {rest[0]!r}" + (f"; nearest is {close[0]}" if close else ""))
+        options = _parser().parse_all(arguments)
         return options.run(options)
     except GelsimError as error:
         line, code = " ".join(str(error).split()), BAD_INPUT
@@ -84,9 +79,10 @@ def _parser() -> Parser:
     train.add_argument("--init", type=Path, metavar="CKPT", help="begin from this network (fine-tuning)")
     train.add_argument("--vgg-weights", type=Path, metavar="FILE", help="--model paper: VGG16 weights in torchvision's layout")
     train.add_argument("--preset", choices=tuple(PRESETS), help="settings to start from (default: paper with --model paper)")
+    documented = console.field_docs(config_module)
     for name, kind in sections().items():
         group = train.add_argument_group(f"[{name}]")
-        docs = _field_docs()[kind.__name__]
+        docs = documented[kind.__name__]
         for item in dataclasses.fields(kind):
             if item.default is not dataclasses.MISSING:
                 shown = "x".join(map(str, item.default)) if isinstance(item.default, tuple) else str(item.default).lower()
@@ -138,7 +134,7 @@ def _train(options: argparse.Namespace) -> int:
         config = configure(options.preset or ("paper" if changes.get("model") == "paper" else "default"), **changes)
     if config.model.model == "paper" and not (options.vgg_weights or options.init or options.resume):
         print("VGG16 starts from random weights: no --vgg-weights were given (the paper starts from ImageNet)", file=sys.stderr)
-    with _progress() as progress:
+    with console.progress_bars() as progress:
         report = train.train(
             options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=options.init,
             vgg_weights=options.vgg_weights, device=options.device, progress=progress,
@@ -165,7 +161,7 @@ def _evaluate(options: argparse.Namespace) -> int:
 
     model = shipped_model(options.model)
     out = options.out or model.parent / f"eval-{options.data.resolve().name}"
-    with _progress() as progress:
+    with console.progress_bars() as progress:
         report = evaluate.evaluate(
             model, options.data, out, rows=options.row, force=options.force, device=options.device, progress=progress
         )
@@ -204,47 +200,6 @@ def _value(name: str, text: str) -> Any:
         return tuple(int(word) for word in text.replace("x", " ").replace(",", " ").split())
     except ValueError:
         return text
-
-
-def _field_docs() -> dict[str, dict[str, str]]:
-    """Class name -> field -> the string under it, read from the source: Python keeps no docstrings of fields."""
-    docs: dict[str, dict[str, str]] = {}
-    for node in ast.parse(Path(config_module.__file__).read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.ClassDef):
-            docs[node.name] = {
-                field.target.id: " ".join(text.value.value.split())
-                for field, text in zip(node.body, node.body[1:], strict=False)
-                if isinstance(field, ast.AnnAssign)
-                and isinstance(field.target, ast.Name)
-                and isinstance(text, ast.Expr)
-                and isinstance(text.value, ast.Constant)
-                and isinstance(text.value.value, str)
-            }
-    return docs
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None] | None]:
-    """A bar on stderr for each stage; None when nobody looks at a terminal."""
-    if not (sys.stdout.isatty() and sys.stderr.isatty()):
-        yield None
-        return
-    from tqdm import tqdm
-
-    bars: dict[str, tqdm] = {}
-
-    def show(stage: str, done: int, total: int) -> None:
-        if stage not in bars:
-            for bar in bars.values():
-                bar.close()
-            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr)
-        bars[stage].update(done - bars[stage].n)
-
-    try:
-        yield show
-    finally:
-        for bar in bars.values():
-            bar.close()
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ LAYERS = [
     {"errors", "units"},
     {"geometry", "materials", "ledger", "workers"},
     {"scene", "limits", "results"},
-    {"scene_file", "markers"},
+    {"scene_file", "markers", "console"},
     {"solids", "sizing", "mesh_file"},
     {"shapes", "inclusions", "lightfield", "dataset", "motion", "metrics"},
     {"meshing", "profiles", "fem", "membrane", "optics"},

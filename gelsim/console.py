@@ -1,0 +1,88 @@
+"""What the two command lines share: one-line errors that name the nearest flag, bars for long work, and fields' documentation as help."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
+
+from gelsim.errors import GelsimError, SceneError
+from gelsim.scene import nearest
+
+BAR = "{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}<{remaining} {rate_inv_fmt}"
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with one-line errors that name the nearest flag; commands set their own parser as the default `parser`."""
+
+    wrong: type[GelsimError] = SceneError
+    """What is raised."""
+    hint = staticmethod(nearest)
+    """What is said of a flag that is none, given its name and those of all flags."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**({"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter} | options))
+
+    def error(self, message: str) -> NoReturn:
+        raise self.wrong(message.replace("argument ", "flag ", 1) if message.startswith("argument ") else message)
+
+    def parse_all(self, arguments: list[str]) -> argparse.Namespace:
+        """Parse, and refuse what is left over.
+
+        Raises:
+            GelsimError: (of kind `wrong`) An unknown flag, or a flag without its value.
+        """
+        options, rest = self.parse_known_args(arguments)
+        if rest:
+            known = [flag for action in options.parser._actions for flag in action.option_strings]
+            name = rest[0].split("=")[0]
+            raise self.wrong(f"unknown flag {name!r}{self.hint(name, known)}")
+        return options
+
+
+def field_docs(module: ModuleType) -> dict[str, dict[str, str]]:
+    """Class name -> field -> the string under it, read from the module's source: Python keeps no docstrings of fields."""
+    assert module.__file__
+    docs: dict[str, dict[str, str]] = {}
+    for node in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef):
+            docs[node.name] = {
+                field.target.id: " ".join(text.value.value.split())
+                for field, text in zip(node.body, node.body[1:], strict=False)
+                if isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+                and isinstance(text.value.value, str)
+            }
+    return docs
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None] | None]:
+    """A bar on stderr for each stage; None when nobody looks at a terminal."""
+    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+        yield None
+        return
+    from tqdm import tqdm
+
+    bars: dict[str, tqdm] = {}
+
+    def show(stage: str, done: int, total: int) -> None:
+        if stage not in bars:
+            for bar in bars.values():
+                bar.close()
+            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, bar_format=BAR)
+        bars[stage].n = done
+        bars[stage].refresh()
+
+    try:
+        yield show
+    finally:
+        for bar in bars.values():
+            bar.close()
