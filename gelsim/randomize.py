@@ -24,7 +24,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import tomllib
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,7 +37,7 @@ from gelsim import materials
 from gelsim.errors import GelsimError, SceneError
 from gelsim.limits import CHOICES, LIMITS
 from gelsim.scene import Scene, convert, field_types, nearest
-from gelsim.scene_file import Layer, build_scene
+from gelsim.scene_file import Layer, build_scene, read_toml
 from gelsim.units import unit_of
 
 DRAWS = ("uniform", "log_uniform", "normal", "integers", "choice", "cycle", "chance")
@@ -319,25 +318,16 @@ def load_plan(name: str) -> Plan:
         SceneError: It cannot be read, or something in it is unknown, impossible, or out of what a scene allows.
     """
     path = plan_path(name)
-    table = _read(path)
+    table = read_toml(path, "--plan")
     if "base" in table:
         # One level deep: a table's keys beat those of the same table, everything else is replaced.
-        below = _read(plan_path(str(table.pop("base"))))
+        below = read_toml(plan_path(str(table.pop("base"))), "--plan")
         both = {key: below[key] | table[key] for key in table if isinstance(table[key], dict) and isinstance(below.get(key), dict)}
         table = below | table | {key: value for key, value in both.items() if not any(kind in table[key] for kind in DRAWS)}
     try:
         return _plan(table)
     except SceneError as error:
         raise SceneError(f"plan {path.name}: {error}") from None
-
-
-def _read(path: Path) -> Layer:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SceneError(f"--plan {path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"--plan {path}: is not TOML: {error}") from None
 
 
 def _plan(table: Layer) -> Plan:

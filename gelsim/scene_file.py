@@ -82,7 +82,7 @@ def _overlaid(below: Layer, above: Layer) -> Layer:
 def read_layer(path: str | Path) -> Layer:
     """One TOML file as a layer, with the paths in it made absolute."""
     path = Path(path)
-    layer = _read_toml(path, "scene file")
+    layer = read_toml(path, "scene file")
     _check_layer(layer)
     for section, key in (("object", "mesh"), ("sensor", "preset")):
         value = layer.get(section, {}).get(key)
@@ -118,7 +118,12 @@ def dump_scene(scene: Scene) -> str:
     return tomli_w.dumps(scene_table(scene))
 
 
-def _read_toml(path: Path, what: str) -> Layer:
+def read_toml(path: Path, what: str) -> Layer:
+    """A TOML file's table; `what` names the file in errors.
+
+    Raises:
+        SceneError: It cannot be read, or is not TOML.
+    """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -136,7 +141,7 @@ def _preset_layer(preset: object) -> Layer:
         if preset not in preset_names():
             known = preset_names()
             raise SceneError(f"sensor.preset = {preset!r}: known are {', '.join(known)}, or a path ending in .toml{nearest(preset, known)}")
-    layer = _read_toml(path, "sensor preset")
+    layer = read_toml(path, "sensor preset")
     try:
         _check_layer(layer, PRESET_SECTIONS)
     except SceneError as error:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import itertools
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +21,7 @@ from gelsim.errors import SceneError
 from gelsim.ledger import Row
 from gelsim.randomize import check_fields
 from gelsim.scene import nearest
-from gelsim.scene_file import Layer, read_layer
+from gelsim.scene_file import Layer, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
 
@@ -135,13 +134,7 @@ def load_study(name: str) -> Study:
     if not name.endswith(".toml"):
         raise SceneError(f"study {name!r}: known are {', '.join(STUDIES)}, or the path of a .toml file{nearest(name, STUDIES)}")
     path = Path(name)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SceneError(f"study {name!r} cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"study {name!r} is not TOML: {error}") from None
-    return _user_study(path, table)
+    return _user_study(path, read_toml(path, "study"))
 
 
 def _user_study(path: Path, table: dict[str, Any]) -> Study:
