@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import tarfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import DatasetError
+from gelsim.files import whole_file
 from gelsim.results import Episode
 
 SCHEMA = 1
@@ -368,15 +368,8 @@ def _json_lines(path: Path) -> Iterator[Any]:
 
 
 def _write_whole(path: Path, content: bytes | memoryview) -> None:
-    partial = path.with_name(f".{path.name}-{os.getpid()}.partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            file.write(content)
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            partial.write_bytes(content)
     except OSError as error:
-        try:
-            partial.unlink(missing_ok=True)
-        except OSError:
-            pass
         raise DatasetError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -19,13 +19,11 @@ Left out: viscosity (readings are taken after a second), the wall beside the blo
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +35,7 @@ from gelsim.materials import ElasticMaterial
 from gelsim.profiles import gel_profile, rigid_profile
 from gelsim.scene import Body, Contact, Gel, Press, Scene
 from gelsim.solids import Segment
+from gelsim.tables import write_csv
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
@@ -124,7 +123,7 @@ class Curve:
 
 
 @lru_cache
-def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "balanced", block_mm: float = BLOCK_MM) -> Curve:
+def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "balanced") -> Curve:
     """Presses the tip of a scale into a block, without a foot, to the depth of the softest reading or as far as there is a solution.
 
     Raises:
@@ -132,12 +131,11 @@ def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "bal
     """
     instrument = SCALES[scale]
     depth = instrument.depth(instrument.readings[0])
-    scene = _block(depth, friction, fidelity, block_mm)
-    reach, _ = _press(scene, instrument.tip(3 * depth), _tip_sizes(instrument, fidelity), 100e3)
-    approach, force, status = reach
-    if len(approach) < 4:
-        raise SolveError(f"durometer {scale}, friction {friction}: the press stopped at {approach[-1] * 1e3:.3g} mm, {status}")
-    return Curve(approach, force / 100e3)
+    sizes = _tip_sizes(instrument, fidelity)
+    press = _press(_block(friction, fidelity, depth=depth), rigid_profile(instrument.tip(3 * depth), sizes), sizes, 100e3)
+    if len(press.approach) < 4:
+        raise SolveError(f"durometer {scale}, friction {friction}: stopped at {press.approach[-1] * 1e3:.3g} mm, {press.message}")
+    return Curve(press.approach, press.force / 100e3)
 
 
 def modulus(reading: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced", foot: bool = False) -> float:
@@ -190,11 +188,10 @@ def relations(value: float, scale: str) -> dict[str, float | None]:
     depth, force = instrument.depth(value), instrument.spring(value)
     if scale == "00":
         r = instrument.tip_radius
-        scott = 1.9e6 * (r * 1e3) ** 0.65 * (depth * 1e3) ** 1.35 / 1e6
         return {
             "hertz": materials.modulus_from_shore_00(value),
             "sneddon": force / sneddon_ball(depth, r),
-            "scott": force / scott * 1e6,
+            "scott": 1e6 * force / (1.9 * (r * 1e3) ** 0.65 * (depth * 1e3) ** 1.35),
         }
     low, high = materials.SHORE_A_RANGE
     return {
@@ -209,8 +206,9 @@ def relations(value: float, scale: str) -> dict[str, float | None]:
 def compare(scale: str, fidelity: str = "balanced", readings: Sequence[float] | None = None, progress: Progress | None = None) -> list[Row]:
     """Moduli [kPa] of readings by the presses, tip sliding and sticking, and by every relation; None where one has no value."""
     instrument = _instrument(scale, 50.0)
-    rows, done = [], readings or [h for h in READINGS if instrument.readings[0] <= h <= instrument.readings[1]]
-    for number, value in enumerate(done):
+    readings = readings or [h for h in READINGS if instrument.readings[0] <= h <= instrument.readings[1]]
+    rows = []
+    for number, value in enumerate(readings):
         row: Row = {"reading": float(value)}
         for name, friction in (("sliding", SMOOTH), ("sticking", STICK)):
             try:
@@ -220,7 +218,7 @@ def compare(scale: str, fidelity: str = "balanced", readings: Sequence[float] | 
         row |= relations(value, scale)
         rows.append({key: each if key == "reading" or each is None else each / 1e3 for key, each in row.items()})
         if progress:
-            progress("durometer", number + 1, len(done))
+            progress("durometer", number + 1, len(readings))
     return rows
 
 
@@ -237,10 +235,7 @@ def write(out: Path, rows: Sequence[Row], scale: str) -> None:
     from matplotlib.figure import Figure
 
     out.mkdir(parents=True, exist_ok=True)
-    with (out / f"durometer-{scale}.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(out / f"durometer-{scale}.csv", rows)
     used = "hertz" if scale == "00" else "qi"
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -270,75 +265,75 @@ def _instrument(scale: str, value: float) -> Durometer:
     return SCALES[scale]
 
 
-def _block(depth: float, friction: float | str, fidelity: str, block_mm: float, force: float | None = None) -> Scene:
-    side = 2 * BLOCK_RADIUS_MM
+def _block(friction: float | str, fidelity: str, *, depth: float | None = None, force: float | None = None) -> Scene:
+    """The press to a depth [m] in STATES, or to a force [N] at once; its object stands for the tip, which no shape of a scene is."""
     return Scene(
         gel=Gel(
-            profile="flat", size_mm=(side, side), thickness_mm=block_mm, shore_00=None, youngs_modulus_kpa=100.0,
-            poissons_ratio=POISSONS_RATIO,
+            profile="flat", size_mm=(2 * BLOCK_RADIUS_MM, 2 * BLOCK_RADIUS_MM), thickness_mm=BLOCK_MM, shore_00=None,
+            youngs_modulus_kpa=100.0, poissons_ratio=POISSONS_RATIO,
         ),
         object=Body(shape="hemisphere", radius_mm=1.19, rigid=True),
         contact=Contact(friction_coefficient=friction),
-        press=Press(depth_mm=None if force else depth / MM, force_n=force, frames=2 if force else STATES),
+        press=Press(depth_mm=depth and depth / MM, force_n=force, frames=2 if force else STATES),
         fidelity=fidelity,
     )  # fmt: skip
 
 
-def _tip_sizes(instrument: Durometer, fidelity: str, foot_at: float | None = None) -> Callable[[Array], Array]:
+def _tip_sizes(instrument: Durometer, fidelity: str, foot: bool = False) -> Callable[[Array], Array]:
     """Edge lengths at points (N, 2): fine about the tip, and at the hole's edge where there is a foot."""
     radius = instrument.shaft_radius
     finest = radius / DIVISIONS[fidelity]
-    corners = [] if not instrument.half_angle else [(instrument.tip_radius, 0.5)]
+    # Where the pressure peaks, r [m], and the edges there over the finest: half as long at the corner of a flat end.
+    peaks = [(instrument.tip_radius, 0.5)] if instrument.half_angle else []
+    peaks += [(HOLE_RADIUS, 1.0), (FOOT_RADIUS, 1.0)] if foot else []
 
     def sizes(points: Array) -> Array:
-        away = np.maximum(np.hypot(points[:, 0], points[:, 1]) - radius, 0.0)
-        size = np.minimum(finest + GROWTH * away, COARSEST)
-        for place, share in corners:
-            # A corner's pressure is singular: half as long edges there.
+        size = np.minimum(finest + GROWTH * np.maximum(np.hypot(*points.T) - radius, 0.0), COARSEST)
+        for place, share in peaks:
             size = np.minimum(size, share * finest + GROWTH * np.hypot(points[:, 0] - place, points[:, 1]))
-        if foot_at is not None:
-            for place in (HOLE_RADIUS, FOOT_RADIUS):
-                size = np.minimum(size, finest + GROWTH * np.hypot(points[:, 0] - place, np.minimum(np.abs(points[:, 1]), 1.0)))
         return size
 
     return sizes
 
 
-def _press(scene: Scene, outline: list[Segment], sizes: Callable[[Array], Array], youngs_modulus: float,
-           within: float = np.inf) -> tuple[tuple[Array, Array, str], float]:  # fmt: skip
-    """Approaches [m], forces [N] and how it ended; and the force of the last state on r < `within` [m] alone."""
+@dataclass(frozen=True, eq=False)
+class _Pressed:
+    """A press of the block: approaches [m] and forces [N] of its states, how it ended, and the last one's contact."""
+
+    approach: Array
+    force: Array
+    message: str
+    place: Array
+    """r of the contact points [mm], (Q,)."""
+    upward: Array
+    """Their forces, up to a factor."""
+
+    def within(self, radius: float) -> float:
+        """What of the last force [N] acts nearer to the axis than `radius` [m]."""
+        return float(self.force[-1] * self.upward[self.place < radius / MM].sum() / self.upward.sum())
+
+
+def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], youngs_modulus: float) -> _Pressed:
     from gelsim.fem import quiet_warp
 
     quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
     from gelsim.fem.quasistatic import run_press
 
-    gel: PlanarMesh = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes)
-    tip = rigid_profile(outline, sizes)
-    problem = PlanarProblem(scene, gel, tip, ElasticMaterial.from_modulus(youngs_modulus, POISSONS_RATIO), None, None)
+    block = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes)
+    problem = PlanarProblem(scene, block, tip, ElasticMaterial.from_modulus(youngs_modulus, POISSONS_RATIO), None, None)
     press = run_press(problem, throw=False)
-    force = -press.force[:, 2]
-    if math.isinf(within):
-        return (press.approach, force, press.message), float(force[-1])
-    contact = problem.contact
-    pressure, weight = contact.pressure.numpy(), contact.rest_weight
-    place = _places(problem).ravel()
-    upward = np.where(pressure > 0, pressure * contact.normal.numpy()[:, 2], 0.0) * weight
-    inner = upward[place < within / MM].sum() / upward.sum() if upward.any() else 0.0
-    return (press.approach, force, press.message), float(force[-1] * inner)
-
-
-def _places(problem: Any) -> Array:
-    """Present r [mm] of the contact points."""
     contact, solids = problem.contact, problem.solids
-    now = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0]
-    return now @ contact.shape_values.T
+    pressure = contact.pressure.numpy()
+    upward = np.where(pressure > 0, pressure * contact.normal.numpy()[:, 2], 0.0) * contact.rest_weight
+    place = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0] @ contact.shape_values.T
+    return _Pressed(press.approach, -press.force[:, 2], press.message, place.ravel(), upward)
 
 
 def _modulus_with_foot(instrument: Durometer, value: float, friction: float | str, fidelity: str) -> float:
     """Secant search in log E for the block that carries the spring's force at the tip while the foot rests on it."""
     depth, spring, load = instrument.depth(value), instrument.spring(value), FOOT_LOADS[instrument.scale]
-    sizes = _tip_sizes(instrument, fidelity, depth)
+    sizes = _tip_sizes(instrument, fidelity, foot=True)
     bend = HOLE_ROUNDING
     outline = [
         *instrument.tip(depth + 2 * bend),
@@ -349,12 +344,14 @@ def _modulus_with_foot(instrument: Durometer, value: float, friction: float | st
         Segment((FOOT_RADIUS, depth), (FOOT_RADIUS, depth + 5e-3)),
     ]
 
+    tip = rigid_profile(outline, sizes)
+
     def tip_force(youngs_modulus: float) -> float:
-        scene = _block(depth, friction, fidelity, BLOCK_MM, load)
-        (_, force, said), inner = _press(scene, outline, sizes, youngs_modulus, HOLE_RADIUS)
-        if abs(force[-1] / load - 1) > 0.01:
-            raise SolveError(f"durometer with foot, E = {youngs_modulus / 1e3:.4g} kPa: stopped with {force[-1]:.3g} of {load:g} N, {said}")
-        return inner
+        press = _press(_block(friction, fidelity, force=load), tip, sizes, youngs_modulus)
+        if abs(press.force[-1] / load - 1) > 0.01:
+            said = f"stopped with {press.force[-1]:.3g} of {load:g} N, {press.message}"
+            raise SolveError(f"durometer with foot, E = {youngs_modulus / 1e3:.4g} kPa: {said}")
+        return press.within(HOLE_RADIUS)
 
     guess = spring / press_curve(instrument.scale, friction, fidelity).at(depth)
     points = [(math.log(guess), math.log(tip_force(guess) / spring))]

@@ -1,14 +1,11 @@
-"""A long computation as a file of lines: one JSON object for each case as soon as it is known, so that a run that was stopped goes on; and
-the same rows as a CSV table.
+"""A long computation as a file of lines: one JSON object for each case as soon as it is known, so that a run that was stopped goes on.
 
 A line that was cut off when the process was killed is dropped. Left out: two processes that write the same ledger.
 """
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,14 +51,3 @@ class Ledger:
         self.rows[row["key"]] = row
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row, allow_nan=False) + "\n")
-
-
-def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], without: Sequence[str] = ()) -> None:
-    """Writes rows as a table with the columns of all of them but `without`; nothing where there are no rows."""
-    rows = list(rows)
-    if rows:
-        columns = list(dict.fromkeys(key for row in rows for key in row if key not in without))
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, columns, extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(rows)

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gelsim.files import whole_file
 
 PACKET = 4
 """Components are stored in fours: one load of 16 bytes."""
@@ -89,17 +89,10 @@ ARRAYS = ("table", "heights", "places", "colours", "light_of", "paint", "gains",
 
 def write_field(path: Path, light_field: LightField) -> None:
     """Writes under a temporary name, then renames. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: getattr(light_field, name) for name in ARRAYS}
     about = json.dumps({"normals": light_field.normals, "errors": light_field.errors, "sum": _checksum(light_field)})
-    handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, about=np.array(about), **arrays)
-        os.replace(part, path)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+    with whole_file(path) as partial, partial.open("wb") as file:
+        np.savez(file, about=np.array(about), **arrays)
 
 
 def read_field(path: Path) -> LightField | None:

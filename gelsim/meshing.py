@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import MeshingError
+from gelsim.files import whole_file
 from gelsim.geometry import (
     AXES,
     TET_EDGES,
@@ -509,17 +510,10 @@ def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float
 
 def _write(path: Path, mesh: TetMesh) -> None:
     groups = {f"group_{name}": faces for name, faces in mesh.groups.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, part = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            arrays = {"rest_positions": mesh.rest_positions, "tets": mesh.tets, "symmetry": np.array("".join(sorted(mesh.symmetry)))}
-            arrays["regions"] = mesh.regions
-            np.savez(file, **arrays, **groups)  # type: ignore[arg-type]
-        os.replace(part, path)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+    arrays = {"rest_positions": mesh.rest_positions, "tets": mesh.tets, "symmetry": np.array("".join(sorted(mesh.symmetry)))}
+    arrays["regions"] = mesh.regions
+    with whole_file(path) as partial, partial.open("wb") as file:
+        np.savez(file, **arrays, **groups)  # type: ignore[arg-type]
 
 
 def _read(path: Path) -> TetMesh | None:

@@ -24,6 +24,7 @@ from gelsim.errors import SceneError, SolveStatus
 from gelsim.results import Deformation, Frame, SurfaceMotion
 from gelsim.scene import Scene
 from gelsim.scene_file import dump_scene
+from gelsim.tables import read_csv
 from gelsim.units import MM
 
 RESULTS = (
@@ -155,11 +156,7 @@ def read_probe_points(path: Path) -> NDArray[np.float64]:
     Raises:
         SceneError: No such file, other columns, or a cell that is no finite number.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"--probe {path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    _, rows = read_csv(path, f"--probe {path}")
     points = []
     for number, row in enumerate(rows, start=2):
         try:

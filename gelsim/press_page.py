@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from gelsim.files import whole_file
 from gelsim.results import Deformation
 from gelsim.units import KPA, MM
 
@@ -46,7 +47,11 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
         subplot_titles=("gel (coloured by height) and object", "tactile picture" if pictures else "", "force against approach"),
     )  # fmt: skip
     approach, force = press.approach / MM, -press.force[:, 2]
-    moving = _moving(press, states[-1], pictures, approach, force)
+    # The colours' scale, of all states.
+    lowest = float((press.gel.rest[:, 2] + press.gel.displacement[..., 2]).min() / MM)
+    span = lowest, float(press.gel.rest[:, 2].max() / MM)
+    frames_of = {i: _moving(press, i, pictures, approach, force, span) for i in states}
+    moving = frames_of[states[-1]]
     figure.add_trace(moving[0], row=1, col=1)
     figure.add_trace(moving[1], row=1, col=1)
     figure.add_trace(go.Scatter(x=approach, y=force, mode="lines+markers", showlegend=False, marker={"size": 5}), row=2, col=2)
@@ -55,7 +60,7 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
         figure.add_trace(moving[3], row=1, col=2)
     # The moving traces in the order in which they were added, without the curve.
     places = [0, 1, 3, *([4] if pictures else [])]
-    figure.frames = [go.Frame(data=_moving(press, i, pictures, approach, force), traces=places, name=str(i)) for i in states]
+    figure.frames = [go.Frame(data=data, traces=places, name=str(i)) for i, data in frames_of.items()]
     steps = [
         {
             "label": f"{approach[i]:.2f}",
@@ -75,7 +80,8 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     figure.update_yaxes(title_text="force [N]", row=2, col=2)
     figure.update_xaxes(visible=False, row=1, col=2)
     figure.update_yaxes(visible=False, row=1, col=2)
-    _write_text(path, figure.to_html(include_plotlyjs=True, full_html=True, auto_play=False))
+    with whole_file(path) as partial:
+        partial.write_text(figure.to_html(include_plotlyjs=True, full_html=True, auto_play=False), encoding="utf-8")
 
 
 def write_series(folder: Path, press: Deformation) -> list[Path]:
@@ -93,22 +99,21 @@ def write_series(folder: Path, press: Deformation) -> list[Path]:
             written.append(path)
             lines.append(f'<DataSet timestep="{approach / MM:.9g}" part="{part}" name="{name}" file="{path.name}"/>')
     body = "\n".join(lines)
-    _write_text(folder / "press.pvd", f'<VTKFile type="Collection" version="0.1"><Collection>\n{body}\n</Collection></VTKFile>\n')
+    with whole_file(folder / "press.pvd") as partial:
+        partial.write_text(f'<VTKFile type="Collection" version="0.1"><Collection>\n{body}\n</Collection></VTKFile>\n', encoding="utf-8")
     return [*written, folder / "press.pvd"]
 
 
-def _moving(press: Deformation, state: int, pictures: Sequence[str], approach: Any, force: Any) -> list[Any]:
+def _moving(press: Deformation, state: int, pictures: Sequence[str], approach: Any, force: Any, span: tuple[float, float]) -> list[Any]:
     """What changes from state to state: both surfaces, the point on the curve, the picture."""
     import plotly.graph_objects as go
 
     gel = ((press.gel.rest + press.gel.displacement[state]) / MM).astype(np.float32)
     body = ((press.object.rest + press.object.displacement[state]) / MM).astype(np.float32)
-    low = float((press.gel.rest[:, 2] + press.gel.displacement[..., 2]).min() / MM)
     pressure = (press.contact_pressure[state] / KPA).astype(np.float32)
     traces: list[Any] = [
         go.Mesh3d(
-            **_corners(gel, press.gel.faces), intensity=gel[:, 2], colorscale=GEL_COLOURS, cmin=low,
-            cmax=float(press.gel.rest[:, 2].max() / MM),
+            **_corners(gel, press.gel.faces), intensity=gel[:, 2], colorscale=GEL_COLOURS, cmin=span[0], cmax=span[1],
             customdata=pressure, hovertemplate="z %{z:.3f} mm, %{customdata:.2f} kPa<extra>gel</extra>", showscale=False,
         ),
         go.Mesh3d(**_corners(body, press.object.faces), color="#b0a090", opacity=0.45, hoverinfo="skip"),
@@ -125,15 +130,3 @@ def _corners(points: Any, faces: Any) -> dict[str, Any]:
 
 def _data_uri(frame: Path) -> str:
     return "data:image/png;base64," + base64.b64encode(frame.read_bytes()).decode()
-
-
-def _write_text(path: Path, text: str) -> None:
-    """Under a temporary name first: a page is whole or not there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise

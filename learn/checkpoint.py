@@ -7,13 +7,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from gelsim.files import whole_file
 from learn.config import Config, LearnError, from_plain, to_plain
 from learn.model import Network, build, read_tensors
 
@@ -59,14 +59,9 @@ class Checkpoint:
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}-{os.getpid()}.partial")
     content = {name: getattr(checkpoint, name) for name in checkpoint.__dataclass_fields__}
-    try:
+    with whole_file(path) as partial:
         torch.save({"format": FORMAT, **content, "config": to_plain(checkpoint.config)}, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def load(path: Path) -> Checkpoint:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from gelsim.dataset import Dataset, load_dataset
+from gelsim.files import whole_file
 from learn import plots, scores
 from learn.baselines import NAMES, Baselines, fit_baselines, over_time
 from learn.checkpoint import Checkpoint, load
@@ -240,9 +240,8 @@ def _with_interval(value: float, interval: Sequence[float], digits: int) -> str:
 
 def _write(out: Path, report: dict[str, Any], found: dict[str, list[dict[str, Any]]]) -> None:
     (out / "table.md").write_text(table(report), encoding="utf-8")
-    partial = out / ".report.json.partial"
-    partial.write_text(json.dumps(without_nan(report), indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, out / "report.json")
+    with whole_file(out / "report.json") as partial:
+        partial.write_text(json.dumps(without_nan(report), indent=2) + "\n", encoding="utf-8")
     with (out / "predictions.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         names = ["true", "estimate", "spread", "novelty", "contact"]

@@ -25,6 +25,7 @@ import torch
 from torch import distributed
 
 from gelsim.dataset import Dataset, load_dataset
+from gelsim.files import whole_file
 from learn import checkpoint as checkpoints
 from learn.checkpoint import Checkpoint
 from learn.config import Config, LearnError, TrainConfig, from_plain, to_plain
@@ -345,9 +346,8 @@ def _provenance(datasets: list[Dataset], init: Path | None, vgg: Path | None) ->
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def _autocast(config: Config, device: torch.device) -> Any:

@@ -11,7 +11,8 @@ from typing import Any
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import GelsimError, SolveStatus
-from gelsim.ledger import Ledger, write_csv
+from gelsim.ledger import Ledger
+from gelsim.tables import write_csv
 
 RESULTS = "results.jsonl"
 

@@ -8,7 +8,6 @@ counted. Left out: raw camera formats, pictures of 16 bits, which are read as 8.
 
 from __future__ import annotations
 
-import csv
 import math
 import tomllib
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from gelsim.errors import GelsimError, SceneError
 from gelsim.optics.isp import srgb_tone
 from gelsim.scene import Gel, Scene, convert, nearest
+from gelsim.tables import read_csv
 
 Array = NDArray[np.float64]
 
@@ -129,17 +129,7 @@ def _rows(folder: Path, no_contact: str) -> list[dict[str, Any]]:
     if not path.exists():
         names = sorted(item.name for item in folder.iterdir() if item.suffix.lower() in SUFFIXES and item.name != no_contact)
         return [{"file": name, "col_px": math.nan, "row_px": math.nan, "depth_mm": math.nan, "split": ""} for name in names]
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, skipinitialspace=True)
-            lines, header = list(table), list(table.fieldnames or [])
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    for name in header:
-        if name not in COLUMNS:
-            raise SceneError(f"{path}: unknown column {name!r}{nearest(name, COLUMNS) or '; known are ' + ', '.join(COLUMNS)}")
-    if "file" not in header:
-        raise SceneError(f"{path}: the column file is missing; known are {', '.join(COLUMNS)}")
+    header, lines = read_csv(path, known=COLUMNS)
     rows, seen = [], set()
     for number, line in enumerate(lines, start=2):
         where = f"{path}: line {number}"

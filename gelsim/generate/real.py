@@ -15,7 +15,6 @@ Left out: scale and distortion of the camera, place of markers (K = 0): `gelsim 
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import re
 import subprocess
@@ -30,6 +29,7 @@ from gelsim.dataset import episode_file, survey, write_episode, write_meta
 from gelsim.errors import SceneError
 from gelsim.randomize import SPLITS
 from gelsim.results import Episode
+from gelsim.tables import read_csv
 
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".webm")
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
@@ -136,18 +136,7 @@ def _labels(source: Path) -> dict[str, dict[str, Any]] | None:
     path = source / "labels.csv"
     if not path.exists():
         return None
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            columns = reader.fieldnames or []
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    for name in columns:
-        if name not in COLUMNS:
-            raise SceneError(f"{path}: column {name!r}: allowed are {', '.join(COLUMNS)}")
-    if "file" not in columns:
-        raise SceneError(f"{path}: the column file is missing")
+    _, rows = read_csv(path, known=COLUMNS)
     table: dict[str, dict[str, Any]] = {}
     for number, row in enumerate(rows, start=2):
         name = row["file"] or ""

@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gelsim.ledger import Row, write_csv
+from gelsim.ledger import Row
 from gelsim.scene import Scene
 from gelsim.study.definition import Study, shown
 from gelsim.study.metrics import METRICS
+from gelsim.tables import write_csv
 
 TABLE, PICTURE, PAGE, SHORT = "study.csv", "study.png", "index.html", "study.md"
 INK = "#22272e"

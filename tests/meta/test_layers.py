@@ -12,9 +12,9 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of lower layers and of its own package. Siblings of one layer do not import each other.
 LAYERS = [
     {"errors", "units"},
-    {"geometry", "materials", "ledger", "workers"},
+    {"geometry", "materials", "ledger", "workers", "files"},
     {"scene", "limits", "results"},
-    {"scene_file", "markers", "console"},
+    {"scene_file", "markers", "console", "tables"},
     {"solids", "sizing", "mesh_file"},
     {"shapes", "inclusions", "lightfield", "dataset", "motion", "metrics"},
     {"meshing", "profiles", "fem", "membrane", "optics"},

@@ -275,6 +275,7 @@ def test_cache_returns_the_same_mesh_and_mends_itself(cache: Path) -> None:
     assert all(np.array_equal(first.groups[name], again.groups[name]) for name in first.groups)
     kept = {path: path.read_bytes() for path in cache.glob("*.npz")}
     assert not list(cache.glob("*.part"))
+    assert not list(cache.rglob("*.partial"))
     for damage in (lambda raw: raw[: len(raw) // 2], lambda raw: b"", lambda raw: raw[:200] + b"\xff" * 64 + raw[264:]):
         for path, raw in kept.items():
             path.write_bytes(damage(raw))

@@ -11,7 +11,7 @@ import pytest
 
 from gelsim import cli
 from gelsim.errors import GelsimError, SceneError, SolveError
-from gelsim.ledger import Ledger, write_csv
+from gelsim.ledger import Ledger
 from gelsim.scene_file import build_scene
 from gelsim.study import STUDIES, runner
 from gelsim.study.definition import Study, load_study
@@ -19,6 +19,7 @@ from gelsim.study.discrimination import combine
 from gelsim.study.metrics import METRICS, Metric
 from gelsim.study.photometric import integrate
 from gelsim.study.trial import Trial
+from gelsim.tables import write_csv
 
 OWN = """
 question = "Does a stiffer gel need more force?"

@@ -1,0 +1,26 @@
+"""A file is whole or not there: it is written under another name beside its own, and renamed at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Where to write: what is there at the end becomes `path`; after an error nothing is left, and an older `path` stays as it was.
+
+    Raises:
+        OSError: The folder cannot be made, or the file not renamed.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}-{os.getpid()}.partial")
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
