@@ -1,5 +1,6 @@
 """Local worker processes: each is handed a few pieces of work at a time, so that it is known which of them ended a worker.
 
+A worker computes on one thread unless it is given more: libraries would otherwise start a thread a core in each of them.
 A worker that dies, or takes longer than SECONDS, is replaced and its pieces are listed; a worker whose parent is gone ends itself. Results
 do not depend on which worker made them, nor on how many there are.
 """
@@ -12,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
@@ -35,11 +37,12 @@ Work = Callable[[Handful], T]
 
 
 class _Worker:
-    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], threads: int) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid()), daemon=True)
-        self.process.start()
+        with _environment(threads):
+            self.process.start()
         other.close()
         self.handful: Handful | None = None
         self.since = time.monotonic()
@@ -64,17 +67,19 @@ def work_through(
     make: Callable[..., Work[T]],
     arguments: tuple[Any, ...],
     lost: Callable[[Handful, str, str], T],
+    threads: int = 1,
 ) -> Iterator[T]:
     """Lets `count` processes do all handfuls; yields each as it is done, in whatever order.
 
     Args:
         make: A function of a module that makes, from `arguments`, what does the work; called once in each process.
         lost: Says what becomes of a handful (status, message) whose process died or took too long.
+        threads: Of each process. What is computed may depend on it in the last digits, so it does not follow from `count`.
     Raises:
         WorkError: Workers die before they begin.
     """
     left = deque(handfuls)
-    workers = [_Worker(make, arguments) for _ in range(min(count, len(left)))]
+    workers = [_Worker(make, arguments, threads) for _ in range(min(count, len(left)))]
     still_born = 0
     try:
         for worker in workers:
@@ -103,13 +108,31 @@ def work_through(
                         )
                     worker.end()
                     yield lost(worker.handful, "DIED" if died else "TIMEOUT", died or f"not done after {SECONDS:g} s")
-                    fresh = _Worker(make, arguments)
+                    fresh = _Worker(make, arguments, threads)
                     workers[workers.index(worker)] = worker = fresh
                 if left and worker.handful is None:
                     worker.give(left.popleft())
     finally:
         for worker in workers:
             worker.end()
+
+
+@contextmanager
+def _environment(threads: int) -> Iterator[None]:
+    """A process that is started in here finds its number of threads in the environment, before any library looks for it."""
+    names = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+    if threads == 1:
+        names["MKL_THREADING_LAYER"] = "SEQUENTIAL"
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(names)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], parent: int) -> None:

@@ -76,6 +76,10 @@ def use_variant(choice: VariantChoice) -> ModuleType:
 
     if mitsuba.variant() != choice.name:
         mitsuba.set_variant(choice.name)
+        if "llvm" in choice.name and (threads := os.environ.get("OMP_NUM_THREADS", "")).isdigit():
+            import drjit
+
+            drjit.set_thread_count(int(threads))  # Dr.Jit itself takes all cores, whatever the environment says
     return mitsuba
 
 

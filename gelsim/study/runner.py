@@ -125,12 +125,10 @@ def _measured(cases: Sequence[Case], workers: int) -> Iterator[Row]:
             {"key": cases[n].key, **cases[n].point, "status": status, "message": message, "seconds": 0.0, "load": _load()} for n in handful
         ]
 
-    for rows in work_through([(number,) for number in range(len(cases))], workers, _worker, (tuple(cases), workers), lost):
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    for rows in work_through([(number,) for number in range(len(cases))], workers, _worker, (tuple(cases),), lost, threads):
         yield from rows
 
 
-def _worker(cases: tuple[Case, ...], workers: int) -> Callable[[Handful], list[Row]]:
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(max(1, (os.cpu_count() or 1) // workers))
+def _worker(cases: tuple[Case, ...]) -> Callable[[Handful], list[Row]]:
     return lambda handful: [measure(cases[number]) for number in handful]

@@ -105,6 +105,12 @@ def make_dying(*_: object):
     return work
 
 
+def make_counting(*_: object):
+    from threadpoolctl import threadpool_info
+
+    return lambda handful: Done(handful, rows=[({pool["internal_api"]: pool["num_threads"] for pool in threadpool_info()}, {})])
+
+
 def make_still_born(*_: object):
     os._exit(7)
 
@@ -124,6 +130,15 @@ def test_a_worker_that_dies_is_replaced_and_its_press_listed():
     assert set(done) == {(n,) for n in range(6)}
     assert done[3,].failures == [{"status": "DIED", "message": "its process ended with code 9"}]
     assert all(not item.failures for handful, item in done.items() if handful != (3,))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_worker_has_the_threads_that_it_was_given(threads: int):
+    before = dict(os.environ)
+    (done,) = work_through([(0,)], 2, make_counting, (), lost, threads)
+    pools = done.rows[0][0]
+    assert pools and set(pools.values()) == {threads}
+    assert dict(os.environ) == before
 
 
 def test_workers_that_never_begin_end_the_run():
