@@ -169,7 +169,7 @@ def _parser() -> Parser:
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
     dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core)")
     dataset.add_argument("--resume", action="store_true", help="go on in an existing folder: episodes that are done are kept")
-    dataset.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: one process, presses in batches (default: cpu)")
+    dataset.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where the light is drawn (default: cpu)")
     _add_output_flags(dataset, _dataset)
     study = commands.add_parser("study", help="what would another sensor see? a sweep over scene fields", epilog=STUDY_EXAMPLES)
     study.add_argument("name", nargs="?", metavar="NAME", help=f"of {', '.join(STUDIES)}, or the path of a TOML file")
@@ -368,7 +368,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         with progress_bars() as progress:
             report = relight(
                 Path(options.light_of), options.sensor, Path(options.out), seed=options.seed, workers=options.workers,
-                resume=options.resume, progress=progress,
+                resume=options.resume, device=options.device, progress=progress,
             )  # fmt: skip
         if not options.json:
             print(generate.summary(report))

@@ -1,6 +1,7 @@
 """Local worker processes: each is handed a few pieces of work at a time, so that it is known which of them ended a worker.
 
-A worker computes on one thread unless it is given more: libraries would otherwise start a thread a core in each of them.
+A worker computes on one thread unless it is given more: libraries would otherwise start a thread a core in each of them. Several GPUs are
+given to workers in turn.
 A worker that dies, or takes longer than SECONDS, is replaced and its pieces are listed; a worker whose parent is gone ends itself. Results
 do not depend on which worker made them, nor on how many there are.
 """
@@ -37,11 +38,11 @@ Work = Callable[[Handful], T]
 
 
 class _Worker:
-    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], threads: int) -> None:
+    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], environment: dict[str, str]) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid()), daemon=True)
-        with _environment(threads):
+        with _environment(environment):
             self.process.start()
         other.close()
         self.handful: Handful | None = None
@@ -68,6 +69,7 @@ def work_through(
     arguments: tuple[Any, ...],
     lost: Callable[[Handful, str, str], T],
     threads: int = 1,
+    gpus: Sequence[str] = (),
 ) -> Iterator[T]:
     """Lets `count` processes do all handfuls; yields each as it is done, in whatever order.
 
@@ -75,11 +77,16 @@ def work_through(
         make: A function of a module that makes, from `arguments`, what does the work; called once in each process.
         lost: Says what becomes of a handful (status, message) whose process died or took too long.
         threads: Of each process. What is computed may depend on it in the last digits, so it does not follow from `count`.
+        gpus: CUDA devices; each worker sees one of them.
     Raises:
         WorkError: Workers die before they begin.
     """
     left = deque(handfuls)
-    workers = [_Worker(make, arguments, threads) for _ in range(min(count, len(left)))]
+
+    def start(number: int) -> _Worker:
+        return _Worker(make, arguments, _settings(threads, gpus[number % len(gpus)] if gpus else None))
+
+    workers = [start(number) for number in range(min(count, len(left)))]
     still_born = 0
     try:
         for worker in workers:
@@ -108,8 +115,8 @@ def work_through(
                         )
                     worker.end()
                     yield lost(worker.handful, "DIED" if died else "TIMEOUT", died or f"not done after {SECONDS:g} s")
-                    fresh = _Worker(make, arguments, threads)
-                    workers[workers.index(worker)] = worker = fresh
+                    number = workers.index(worker)
+                    workers[number] = worker = start(number)
                 if left and worker.handful is None:
                     worker.give(left.popleft())
     finally:
@@ -117,12 +124,16 @@ def work_through(
             worker.end()
 
 
-@contextmanager
-def _environment(threads: int) -> Iterator[None]:
-    """A process that is started in here finds its number of threads in the environment, before any library looks for it."""
+def _settings(threads: int, gpu: str | None) -> dict[str, str]:
     names = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
     if threads == 1:
         names["MKL_THREADING_LAYER"] = "SEQUENTIAL"
+    return names if gpu is None else names | {"CUDA_VISIBLE_DEVICES": gpu}
+
+
+@contextmanager
+def _environment(names: dict[str, str]) -> Iterator[None]:
+    """A process that is started in here finds these in its environment, before any library looks for them."""
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(names)
     try:

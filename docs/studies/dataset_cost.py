@@ -32,12 +32,14 @@ def main(plan: str = "paper2017", seed: int = 0, presses: tuple[int, ...] = (0,)
     ends, rows = range(len(catalogue.plan.end_points)), []
     for number in presses:
         press, clock = catalogue.press(number), spent()
-        (solved,) = recording.solve([press])
-        mechanics, light, write, sizes, frames = spent() - clock, 0.0, 0.0, [], []
-        row: dict[str, float | str] = {"press": number, "shape": press.scene.object.shape, "mechanics": round(mechanics / len(ends), 1)}
-        if isinstance(solved, recording.PressFailed):
-            rows.append(row | {"status": solved.status})
+        row: dict[str, float | str] = {"press": number, "shape": press.scene.object.shape}
+        try:
+            solved = recording.solve(press)
+        except recording.PressFailed as failed:
+            rows.append(row | {"status": failed.status})
             continue
+        mechanics, light, write, sizes, frames = spent() - clock, 0.0, 0.0, [], []
+        row["mechanics"] = round(mechanics / len(ends), 1)
         for end in ends:
             clock = spent()
             made = recording.record(catalogue, press, end, solved.motion, studio)

@@ -12,8 +12,6 @@ Left out: release, relaxation while the object is held, hysteresis.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -66,33 +64,20 @@ class Solved:
     """Of its error, by itself."""
 
 
-def solve(presses: Sequence[Press], device: str = "cpu") -> list[Solved | PressFailed]:
-    """The mechanics of presses: one by one on the CPU, side by side on a GPU."""
+def solve(press: Press) -> Solved:
+    """The mechanics of a press, on this process's core: no two objects of a plan have the same mesh, which a batch on a GPU wants.
+
+    Raises:
+        PressFailed
+    """
     from gelsim import pipeline
 
-    scenes = [resolved(press.scene) for press in presses]
-    if len(scenes) > 1:
-        start = time.perf_counter()
-        batch = pipeline.press_batch(scenes, device=device)
-        share = (time.perf_counter() - start) / len(scenes)
-        return [_outcome(solved, {"press": share}) for solved in batch]
-    outcomes: list[Solved | PressFailed] = []
-    for scene in scenes:
-        record = pipeline.Record()
-        try:
-            solved = pipeline.press(scene, device=device, record=record, throw=False)
-        except (MeshingError, SolveError, SceneError) as error:
-            outcomes.append(PressFailed(type(error).__name__, str(error)))
-            continue
-        outcomes.append(_outcome(solved, record.seconds))
-    return outcomes
-
-
-def _outcome(solved: Deformation, seconds: dict[str, float]) -> Solved | PressFailed:
+    record = pipeline.Record()
     try:
-        return Solved(checked(solved), seconds, solved.info.get("error_estimate"))
-    except PressFailed as failed:
-        return failed
+        solved = pipeline.press(resolved(press.scene), device="cpu", record=record, throw=False)
+    except (MeshingError, SolveError, SceneError) as error:
+        raise PressFailed(type(error).__name__, str(error)) from error
+    return Solved(checked(solved), record.seconds, solved.info.get("error_estimate"))
 
 
 def checked(solved: Deformation) -> Motion:

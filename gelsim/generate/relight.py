@@ -20,7 +20,7 @@ from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio
-from gelsim.generate.run import Book, Progress, measure_lights, report_of, sums_of
+from gelsim.generate.run import DEVICES, Book, Progress, gpus_of, measure_lights, report_of, sums_of
 from gelsim.randomize import EPISODE, Plan, draw_fields, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
@@ -32,7 +32,7 @@ SEEN = ("camera", "lights", "coating", "markers")
 
 def relight(
     source: Path, sensor: str, out: Path, *, plan: str | None = None, seed: int = 0, workers: int | None = None, resume: bool = False,
-    progress: Progress | None = None,
+    device: str = "cpu", progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Makes a dataset of another sensor's pictures; returns what the command reports.
 
@@ -43,6 +43,8 @@ def relight(
     Raises:
         SceneError, DatasetError: as `gelsim.generate.run.generate`.
     """
+    if device not in DEVICES:
+        raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
     data = load_dataset(source)
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
@@ -56,7 +58,7 @@ def relight(
     before = len(data) - len(todo)
     book.write()
     if todo:
-        measure_lights([scene for scene in scenes.values() if scene.render.mode == "baked"], "cpu", progress)
+        measure_lights([scene for scene in scenes.values() if scene.render.mode == "baked"], device, progress)
 
         def lost(handful: Handful, status: str, message: str) -> Done:
             return Done(handful, failures=[
@@ -65,8 +67,9 @@ def relight(
             ])  # fmt: skip
 
         handfuls = [(position,) for position in todo]
+        count, arguments = workers or os.cpu_count() or 1, (source, sensor, name, seed, out, device)
         try:
-            for done in work_through(handfuls, workers or os.cpu_count() or 1, make_relighter, (source, sensor, name, seed, out), lost):
+            for done in work_through(handfuls, count, make_relighter, arguments, lost, gpus=gpus_of(device)):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)
@@ -90,9 +93,9 @@ def sensor_scene(data: Dataset, position: int, sensor: str) -> Scene:
     return scene.replace(sensor=dataclasses.replace(scene.sensor, preset=sensor), **seen)
 
 
-def make_relighter(source: Path, sensor: str, plan: str, seed: int, out: Path) -> Callable[[Handful], Done]:
+def make_relighter(source: Path, sensor: str, plan: str, seed: int, out: Path, device: str) -> Callable[[Handful], Done]:
     """What a worker process does with episodes: light, files."""
-    data, drawn, studio = load_dataset(source), load_plan(plan), Studio("cpu")
+    data, drawn, studio = load_dataset(source), load_plan(plan), Studio(device)
 
     def work(handful: Handful) -> Done:
         done = Done(handful)

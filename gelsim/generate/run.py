@@ -39,9 +39,9 @@ NUMERICAL = (
     "SolveError",
 )
 """Failures that would come again; others (DIED, TIMEOUT) are tried again by --resume."""
+DEVICES = ("cpu", "cuda")
+"""That draw."""
 MANIFEST_SECONDS = 20.0
-BATCH = 64
-"""Presses solved side by side on a GPU."""
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
 
@@ -62,7 +62,7 @@ def generate(
         plan: Name of a plan that comes along, or path of a TOML file.
         episodes: How many, counted from index 0; with `resume` it may be more than before.
         workers: Processes; one per core by default.
-        device: "cpu", or "cuda": one process, presses in batches.
+        device: Where the light is drawn: "cpu", or "cuda", all of whose devices share the workers.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
             what was done is kept.
@@ -72,9 +72,9 @@ def generate(
         raise SceneError(f"--episodes {episodes}: expected 1 or more")
     if workers is not None and not 1 <= workers <= 1024:
         raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
-    if device not in ("cpu", "cuda"):
-        raise SceneError(f"--device {device}: allowed for a dataset are cpu and cuda")
-    count = 1 if device == "cuda" else workers or os.cpu_count() or 1
+    if device not in DEVICES:
+        raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
+    count = workers or os.cpu_count() or 1
     start = time.perf_counter()
     info = _info(catalogue)
     book = Book(out, info, resume)
@@ -91,16 +91,14 @@ def generate(
         presses = {number: catalogue.press(number) for number in todo}
         if catalogue.plan.mode == "baked":
             measure_lights([catalogue.sensor_scene(n) for n in sorted({press.sensor for press in presses.values()})], device, progress)
-        numbers = list(todo)
-        size = BATCH if device == "cuda" else 1
-        handfuls = [tuple(numbers[i : i + size]) for i in range(0, len(numbers), size)]
+        handfuls = [(number,) for number in todo]
 
         def lost(handful: Handful, status: str, message: str) -> Done:
             return Done(handful, failures=[failure(catalogue, n, todo[n], status, message) for n in handful])
 
         arguments = (plan, seed, out, todo, device)
         try:
-            for done in work_through(handfuls, count, make_worker, arguments, lost):
+            for done in work_through(handfuls, count, make_worker, arguments, lost, gpus=gpus_of(device)):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)
@@ -154,14 +152,13 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
     def work(handful: Handful) -> Done:
         done = Done(handful)
         try:
-            presses = [catalogue.press(number) for number in handful]
-            start = time.perf_counter()
-            for press, solved in zip(presses, recording.solve(presses, device), strict=True):
-                ends = todo[press.number]
-                if isinstance(solved, recording.PressFailed):
-                    done.failures.append(failure(catalogue, press.number, ends, solved.status, str(solved)))
+            for press in map(catalogue.press, handful):
+                ends, start, light = todo[press.number], time.perf_counter(), 0.0
+                try:
+                    solved = recording.solve(press)
+                except recording.PressFailed as failed:
+                    done.failures.append(failure(catalogue, press.number, ends, failed.status, str(failed)))
                     continue
-                light = 0.0
                 mechanics, start = time.perf_counter() - start, time.perf_counter()
                 for end in ends:
                     made = recording.record(catalogue, press, end, solved.motion, studio)
@@ -178,6 +175,16 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
         return done
 
     return work
+
+
+def gpus_of(device: str) -> list[str]:
+    """CUDA devices that this process may use, by the names that CUDA_VISIBLE_DEVICES knows; none where the system does not list them."""
+    if device != "cuda":
+        return []
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return [name for name in visible.split(",") if name]
+    return [node.name.removeprefix("nvidia") for node in sorted(Path("/dev").glob("nvidia[0-9]*"))]
 
 
 def sums_of(path: Path) -> dict[str, Any]:

@@ -111,6 +111,10 @@ def make_counting(*_: object):
     return lambda handful: Done(handful, rows=[({pool["internal_api"]: pool["num_threads"] for pool in threadpool_info()}, {})])
 
 
+def make_seeing(*_: object):
+    return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"]}, {})])
+
+
 def make_still_born(*_: object):
     os._exit(7)
 
@@ -139,6 +143,11 @@ def test_a_worker_has_the_threads_that_it_was_given(threads: int):
     pools = done.rows[0][0]
     assert pools and set(pools.values()) == {threads}
     assert dict(os.environ) == before
+
+
+def test_gpus_are_given_in_turn():
+    done = work_through([(number,) for number in range(3)], 3, make_seeing, (), lost, gpus=("0", "7"))
+    assert {item.rows[0][0]["sees"] for item in done} <= {"0", "7"}
 
 
 def test_workers_that_never_begin_end_the_run():
@@ -174,7 +183,7 @@ def test_a_full_disk_ends_the_work_with_its_name(tmp_path: Path, monkeypatch: py
         raise DatasetError(f"{tmp_path}: cannot be written (No space left on device)")
 
     monkeypatch.setattr("gelsim.generate.run.Studio", Studio)
-    monkeypatch.setattr(recording, "solve", lambda presses, device: [recording.Solved(None, {}, None)])  # type: ignore[arg-type]
+    monkeypatch.setattr(recording, "solve", lambda press: recording.Solved(None, {}, None))  # type: ignore[arg-type]
     monkeypatch.setattr(recording, "record", full)
     done = make_worker(TINY, 0, tmp_path, {0: [0, 1]}, "cpu")((0,))
     assert done.error is not None and "No space left on device" in done.error and not done.rows
@@ -182,7 +191,11 @@ def test_a_full_disk_ends_the_work_with_its_name(tmp_path: Path, monkeypatch: py
 
 def test_a_press_that_fails_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("gelsim.generate.run.Studio", lambda device: None)
-    monkeypatch.setattr(recording, "solve", lambda presses, device: [recording.PressFailed("NONFINITE", "not a number")])
+
+    def failing(press: object) -> recording.Solved:
+        raise recording.PressFailed("NONFINITE", "not a number")
+
+    monkeypatch.setattr(recording, "solve", failing)
     done = make_worker(TINY, 5, tmp_path, {4: [0, 1]}, "cpu")((4,))
     assert done.error is None
     assert done.failures == [
