@@ -1,6 +1,6 @@
 """Checkpoints: tensors and plain types in one file, so that loading one runs nothing. Written under a temporary name, then renamed.
 
-    format, config, step, network (weights), optimizer, best (validation loss), spread_factor, novelty, provenance
+    format, config, step, network (weights), optimizer, averaged (weights), best (validation loss), spread_factor, novelty, provenance
 
 `last.pt` holds all of it and is what --resume goes on from; `model.pt` has no optimizer and is what eval and predict read.
 """
@@ -30,6 +30,8 @@ class Checkpoint:
     step: int
     network: dict[str, torch.Tensor]
     optimizer: dict[str, Any] | None = None
+    averaged: dict[str, torch.Tensor] | None = None
+    """Weights averaged over the last steps, in last.pt; in model.pt they are the network's."""
     best: float = float("inf")
     """Lowest validation loss so far."""
     spread_factor: float = 1.0

@@ -77,6 +77,7 @@ def _parser() -> Parser:
     train.add_argument("--resume", action="store_true", help="go on with an interrupted run, by its own settings")
     train.add_argument("--force", action="store_true", help="begin again in an existing folder")
     train.add_argument("--init", type=Path, metavar="CKPT", help="begin from this network (fine-tuning)")
+    train.add_argument("--cache", type=Path, metavar="DIR", help="averaged pictures, which several runs may share (default: RUN/cache)")
     train.add_argument("--vgg-weights", type=Path, metavar="FILE", help="--model paper: VGG16 weights in torchvision's layout")
     train.add_argument("--preset", choices=tuple(PRESETS), help="settings to start from (default: paper with --model paper)")
     documented = console.field_docs(config_module)
@@ -93,6 +94,10 @@ def _parser() -> Parser:
     evaluate.add_argument("--data", required=True, type=Path, metavar="DIR", help="a dataset with test splits")
     evaluate.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: eval-DATA beside the checkpoint)")
     evaluate.add_argument("--row", action="append", default=[], metavar="SPLIT", help="test this split (default: the paper's rows)")
+    evaluate.add_argument(
+        "--cache", type=Path, metavar="DIR", help="averaged pictures of a training (default: cache beside the checkpoint)"
+    )
+    evaluate.add_argument("--workers", type=int, default=0, metavar="N", help="processes that read presses (default: this one alone)")
     evaluate.add_argument("--force", action="store_true", help="write over an existing result")
     predict = commands.add_parser("predict", help="hardness and its spread from videos, folders of frames, episodes or datasets")
     predict.add_argument("--model", default="default", metavar="CKPT", help="a checkpoint, or the name of a shipped one (default: default)")
@@ -137,7 +142,7 @@ def _train(options: argparse.Namespace) -> int:
     with console.progress_bars() as progress:
         report = train.train(
             options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=options.init,
-            vgg_weights=options.vgg_weights, device=options.device, progress=progress,
+            vgg_weights=options.vgg_weights, device=options.device, cache=options.cache, progress=progress,
         )  # fmt: skip
     if report:
         line = f"{options.out / 'model.pt'}: step {report['step']}"
@@ -163,8 +168,9 @@ def _evaluate(options: argparse.Namespace) -> int:
     out = options.out or model.parent / f"eval-{options.data.resolve().name}"
     with console.progress_bars() as progress:
         report = evaluate.evaluate(
-            model, options.data, out, rows=options.row, force=options.force, device=options.device, progress=progress
-        )
+            model, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
+            workers=options.workers, progress=progress,
+        )  # fmt: skip
     print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
     return OK
 

@@ -50,6 +50,8 @@ class ModelConfig:
     """ours: the no-contact frame is shown too (for an ablation)"""
     show_signal: bool = True
     """ours: each picture comes with its intensity change (for an ablation)"""
+    show_shape: bool = True
+    """ours: and with the area, size and slope of what changed (for an ablation)"""
     every_step: bool = True
     """ours: each picture of a press is trained as if it were the last (for an ablation)"""
     spread: bool = True
@@ -109,8 +111,12 @@ class TrainConfig:
     seed: int = 0
     precision: str = "auto"
     """of the convolutions: auto is bfloat16 on CUDA, float32 on a CPU"""
+    average: float = 0.999
+    """share of its past that the weights' running average keeps each step; 0: no average"""
+    presses: int = 0
+    """how many presses of --data to train on; 0: all"""
     workers: int = 0
-    """processes that prepare presses"""
+    """processes that read presses; 0: this one alone"""
     validate_every: int = 500
     """steps between validations; a checkpoint is saved at each"""
     real_ratio: float = 0.5
@@ -140,7 +146,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "rate": 2e-3, "validate_every": 100,
     },
     "paper": {
-        "model": "paper", "picture": (224, 224), "frames": 5, "hidden": 256, "batch": 16,
+        "model": "paper", "picture": (224, 224), "frames": 5, "hidden": 256, "batch": 16, "average": 0.0,
         "weight_decay": 5e-4, "warmup": 0, "clip": 10.0, "thin": 1, "drop": 0.0, "noise_levels": 0.0, "gain": 0.0, "gamma": 0.0,
         "drift": 0.0, "blur_px": 0.0, "crop": 0.0, "mirror": False, "swap_colours": False,
     },
@@ -202,7 +208,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
     "warmup": (0, 10**7), "weight_decay": (0, 10), "step_size": (1, 10**8), "step_factor": (0, 1), "momentum": (0, 0.9999),
     "clip": (0, 1e6), "seed": (0, 2**31), "workers": (0, 256), "validate_every": (1, 10**8), "real_ratio": (0, 1),
-    "real_presses": (0, 10**8),
+    "presses": (0, 10**8), "average": (0, 0.99999), "real_presses": (0, 10**8),
 }  # fmt: skip
 _CHOICES = {"model": MODELS, "precision": PRECISIONS}
 

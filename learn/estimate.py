@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from learn.config import LearnError
-from learn.data import Press, collate
+from learn.data import Batch, Press, collate
 from learn.model import Network
 from learn.novelty import press_statistics
 
@@ -29,14 +29,18 @@ class Estimates:
     """Mean training loss over them; NaN without targets."""
 
 
-def estimate(network: Network, presses: Sequence[Press], device: torch.device, batch: int = 32) -> Estimates:
-    """Estimates of presses, in float32, a batch at a time."""
+def batches(presses: Sequence[Press], device: torch.device, batch: int = 32) -> list[Batch]:
+    """Presses in batches on a device."""
+    return [collate(presses[start : start + batch]).to(device) for start in range(0, len(presses), batch)]
+
+
+def estimate(network: Network, parts: Iterable[Batch]) -> Estimates:
+    """Estimates of presses in batches, at least one, in float32."""
     means, spreads, statistics, losses = [], [], [], []
     was_training = network.training
     network.eval()
     with torch.inference_mode():
-        for start in range(0, len(presses), batch):
-            part = collate(presses[start : start + batch]).to(device)
+        for part in parts:
             output = network(part)
             mean, spread = network.estimate(output, part.lengths)
             means.append(mean.double().cpu().numpy())
@@ -44,7 +48,8 @@ def estimate(network: Network, presses: Sequence[Press], device: torch.device, b
             statistics.append(press_statistics(part, output.features))
             losses.append(float(network.loss(output, part)) * len(mean))
     network.train(was_training)
-    return Estimates(np.concatenate(means), np.concatenate(spreads), torch.cat(statistics), sum(losses) / len(presses))
+    mean = np.concatenate(means)
+    return Estimates(mean, np.concatenate(spreads), torch.cat(statistics), sum(losses) / len(mean))
 
 
 def pick_device(name: str) -> torch.device:

@@ -23,10 +23,11 @@ from learn import plots, scores
 from learn.baselines import NAMES, Baselines, fit_baselines, over_time
 from learn.checkpoint import Checkpoint, load
 from learn.config import Config, LearnError
-from learn.data import Progress, archive, held_presses
-from learn.estimate import estimate, pick_device
+from learn.data import held_presses
+from learn.estimate import batches, estimate, pick_device
 from learn.model import Network
 from learn.novelty import novelty_from_plain
+from learn.recordings import CACHE, Archive, Progress, archive
 from learn.splits import TEST_ROWS, TRAIN, VALIDATION, check_splits
 
 # Yuan et al., ICRA 2017, Table I and section V-B: videos, R², RMSE. It gives no numbers of natural objects.
@@ -54,12 +55,15 @@ def evaluate(
     rows: Sequence[str] = (),
     force: bool = False,
     device: str = "auto",
+    cache: Path | None = None,
+    workers: int = 0,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Writes table.md, report.json, predictions.csv and plots into `out`.
 
     Args:
         model: A checkpoint. rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
+        cache: Of recordings; None: the run's own, where there is one. workers: Processes that fill it.
     Returns:
         What report.json holds.
     Raises:
@@ -74,7 +78,22 @@ def evaluate(
         if not dataset.splits.get(name):
             raise LearnError(f"eval: {data} has no split {name!r}; it has {', '.join(name for name in dataset.splits) or 'none'}")
     out.mkdir(parents=True, exist_ok=True)
-    learnt = _learn_baselines(dataset, checkpoint.config, progress)
+    if cache is None and (model.parent / CACHE).is_dir():
+        cache = model.parent / CACHE
+    scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
+    try:
+        return _evaluate(dataset, checkpoint, model, out, chosen, device, cache or scratch, workers, progress)
+    finally:
+        if scratch is not None:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _evaluate(
+    dataset: Dataset, checkpoint: Checkpoint, model: Path, out: Path, chosen: Sequence[str], device: str, cache: Path | None, workers: int,
+    progress: Progress | None,
+) -> dict[str, Any]:  # fmt: skip
+    everything = archive(dataset, [row["index"] for row in dataset.rows], checkpoint.config.input, cache, progress, workers)
+    learnt = _learn_baselines(dataset, everything, checkpoint.config)
     network = checkpoint.build().to(pick_device(device))
     total = sum(len(dataset.splits[name]) for name in chosen)
     found: dict[str, list[dict[str, Any]]] = {}
@@ -82,7 +101,8 @@ def evaluate(
     for name in chosen:
         found[name] = []
         for start in range(0, len(dataset.splits[name]), CHUNK):
-            found[name] += _predict(dataset, dataset.splits[name][start : start + CHUNK], checkpoint, network, learnt)
+            part = everything.only([dataset.positions[index] for index in dataset.splits[name][start : start + CHUNK]])
+            found[name] += _predict(part, checkpoint, network, learnt)
             done = done + len(dataset.splits[name][start : start + CHUNK])
             if progress:
                 progress("evaluating", done, total)
@@ -133,39 +153,29 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _learn_baselines(dataset: Dataset, config: Config, progress: Progress | None) -> Baselines | None:
+def _learn_baselines(dataset: Dataset, everything: Archive, config: Config) -> Baselines | None:
     known = {row["index"] for row in dataset.rows if row["shore_00"] is not None}
-    train = [index for index in dataset.splits.get(TRAIN, []) if index in known]
-    if len(train) < 3:
+    part = everything.only([dataset.positions[index] for index in dataset.splits.get(TRAIN, []) if index in known])
+    if len(part) < 3:
         return None
-    # A scratch folder of its own: only the features are kept, the pictures may be many.
-    scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-"))
-    try:
-        part = archive(dataset, train, config.input, scratch, progress)
-        curves = [(part.signal(number), part.features(number)) for number in range(len(part))]
-        target = np.array([row["shore_00"] for row in part.rows], float)
-        return fit_baselines(curves, target, config.input)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    curves = list(zip(part.signals, part.features, strict=True))
+    return fit_baselines(curves, np.array([row["shore_00"] for row in part.rows], float), config.input)
 
 
-def _predict(
-    dataset: Dataset, indices: Sequence[int], checkpoint: Checkpoint, network: Network, learnt: Baselines | None
-) -> list[dict[str, Any]]:
+def _predict(part: Archive, checkpoint: Checkpoint, network: Network, learnt: Baselines | None) -> list[dict[str, Any]]:
     config = checkpoint.config
     novelty = novelty_from_plain(checkpoint.novelty)
-    part = archive(dataset, indices, config.input)
     presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
     seen = [number for number, press in enumerate(presses) if press is not None]
     mean = np.full(len(presses), float(network.centre))
     spread = np.full(len(presses), float(network.scale))
     distance = np.full(len(presses), np.nan)
     if seen:
-        said = estimate(network, [press for press in presses if press is not None], network.centre.device)
+        said = estimate(network, batches([press for press in presses if press is not None], network.centre.device))
         mean[seen], spread[seen] = said.mean, said.spread * checkpoint.spread_factor
         if novelty is not None:
             distance[seen] = novelty.distance(said.statistics).numpy() / novelty.threshold
-    curves = [over_time((part.signal(number), part.features(number)), config.input) for number in range(len(part))]
+    curves = [over_time(curve, config.input) for curve in zip(part.signals, part.features, strict=True)]
     bare = {name: learnt.predict(name, curves) for name in NAMES} if learnt else {}
     return [
         {

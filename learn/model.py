@@ -21,6 +21,7 @@ from torch.nn import functional
 
 from learn.config import Config, LearnError, ModelConfig
 from learn.data import HARDEST, Batch
+from learn.features import AREA_LEVELS
 
 CHANGE_LEVELS = 32.0
 """A strong intensity change [levels]: brings the network's input to about 1."""
@@ -31,6 +32,8 @@ SPREADS = (0.5, 60.0)
 BETA = 0.5
 HUBER_DELTA = 1.0
 """Where the Huber loss turns from square to straight [Shore 00]; the paper does not give it."""
+SHAPES = 3
+"""Numbers of `shape_of`."""
 PAPER_OUTPUTS = 3
 """The outputs that the paper averages."""
 
@@ -78,7 +81,8 @@ class PressNet(nn.Module):
         self.stem_norm = nn.GroupNorm(4, config.widths[0])
         pairs = zip(config.widths, config.widths[1:], strict=False)
         self.stages = nn.Sequential(*(Residual(inside, outside) for inside, outside in pairs))
-        self.embed = nn.Linear(2 * config.widths[-1] + int(config.show_signal), config.hidden)
+        extra = int(config.show_signal) + SHAPES * int(config.show_shape)
+        self.embed = nn.Linear(2 * config.widths[-1] + extra, config.hidden)
         self.lstm = nn.LSTM(config.hidden, config.hidden, batch_first=True)
         self.head = nn.Linear(config.hidden, 2)
         # Mean and standard deviation of the hardness trained on; train.py sets them once.
@@ -96,6 +100,8 @@ class PressNet(nn.Module):
         x = torch.cat([x.mean(dim=(2, 3)), x.amax(dim=(2, 3))], dim=1).view(count, steps, -1)
         if self.config.show_signal:
             x = torch.cat([x, torch.log1p(batch.signal / FAINT_LEVELS)[..., None]], dim=-1)
+        if self.config.show_shape:
+            x = torch.cat([x, shape_of(batch.pictures - batch.background[:, None])], dim=-1)
         with torch.autocast(x.device.type, enabled=False):
             hidden, _ = self.lstm(functional.silu(self.embed(x)))
             said = self.head(hidden)
@@ -194,6 +200,28 @@ class PaperNet(nn.Module):
 
 
 Network = PressNet | PaperNet
+
+
+def shape_of(change: torch.Tensor) -> torch.Tensor:
+    """What `learn.features` says of the change of a picture, without markers: area, size and slope, each brought to about 1.
+
+    Args:
+        change: From the no-contact frame [levels], shape (B, T, 3, h, w).
+    Returns:
+        Shape (B, T, SHAPES).
+    """
+    most = change.abs().amax(dim=2)
+    rows, columns = most.shape[-2:]
+    touched = (most > AREA_LEVELS).to(most.dtype)
+    count = touched.sum(dim=(-2, -1))
+    x, y = (torch.arange(size, device=most.device) / columns for size in (columns, rows))
+    weight = most * touched
+    weight = weight / weight.sum(dim=(-2, -1), keepdim=True).clamp_min(1e-6)
+    across, down = weight.sum(dim=-2), weight.sum(dim=-1)
+    square = (across * x**2).sum(-1) - (across * x).sum(-1) ** 2 + (down * y**2).sum(-1) - (down * y).sum(-1) ** 2
+    slopes = torch.stack(torch.gradient(most, dim=(-2, -1))).norm(dim=0)
+    slope = (slopes * touched).sum(dim=(-2, -1)) / count.clamp_min(1)
+    return torch.stack([(count / (rows * columns)).sqrt(), 4 * square.clamp_min(0).sqrt(), torch.log1p(slope) / 2], dim=-1)
 
 
 def last_of(values: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:

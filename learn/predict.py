@@ -12,7 +12,7 @@ from gelsim.errors import GelsimError
 from learn.checkpoint import load
 from learn.config import LearnError
 from learn.data import HARDEST, choose
-from learn.estimate import estimate, pick_device
+from learn.estimate import batches, estimate, pick_device
 from learn.novelty import novelty_from_plain
 from learn.video import Source, sources
 
@@ -74,7 +74,7 @@ def predict(
                 )
                 yield {"source": source.name, "status": "no contact", "note": note, "true": source.true}
                 continue
-            said = estimate(network, [press], where)
+            said = estimate(network, batches([press], where))
             spread = float(said.spread[0]) * checkpoint.spread_factor
             distance = None if novelty is None else float(novelty.distance(said.statistics)[0]) / novelty.threshold
             unlike = distance is not None and not distance <= 1

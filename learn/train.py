@@ -8,11 +8,13 @@ takes its share of every batch (PyTorch's DistributedDataParallel), and the firs
 from __future__ import annotations
 
 import contextlib
+import copy
 import hashlib
 import json
 import math
 import os
 import platform
+import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -29,11 +31,13 @@ from gelsim.files import whole_file
 from learn import checkpoint as checkpoints
 from learn.checkpoint import Checkpoint
 from learn.config import Config, LearnError, TrainConfig, from_plain, to_plain
-from learn.data import Archive, Press, Progress, Steps, Stream, archive, collate, held_presses, sides, varied_press
-from learn.estimate import Estimates, estimate, pick_device
+from learn.data import Batch, Press, held_presses, sides
+from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.logs import Curves
 from learn.model import Network, PaperNet, build, load_vgg, parameter_count
 from learn.novelty import fit_novelty
+from learn.recordings import CACHE, Archive, Progress, archive
+from learn.stream import Stream, share, varied
 
 NOVELTY_DRAWS = 500
 """Most training draws from which the novelty distance is fitted; ten a press where presses are few."""
@@ -41,6 +45,8 @@ NOVELTY_VARIED = 3
 """Randomised copies of each validation press, from which, with the press itself, the threshold is taken."""
 CALIBRATION_FEWEST = 8
 """With fewer validation presses the spread is left as the network says it."""
+PREDICTIONS = 9
+"""Of which the median time is told."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,7 @@ def train(
     init: Path | None = None,
     vgg_weights: Path | None = None,
     device: str = "auto",
+    cache: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Trains to `config.train.steps` and writes a run folder.
@@ -75,6 +82,7 @@ def train(
         data: A dataset; its splits `train` and `validation` are used. real: A second one, mixed in at `config.train.real_ratio`.
         out: config.json, run.json, curves.*, tensorboard/, last.pt, model.pt, report.json, cache/.
         init: A checkpoint to begin from; the config must name the same network.
+        cache: Of recordings, which several runs may share; None: the run's own.
     Returns:
         What report.json holds.
     Raises:
@@ -82,24 +90,26 @@ def train(
         KeyboardInterrupt: After an interruption, when last.pt has been saved.
     """
     with _place(device) as place:
-        return _train(place, data, out, config, real, resume, force, init, vgg_weights, progress if place.first else None)
+        return _train(
+            place, data, out, config, real, resume, force, init, vgg_weights, cache or out / CACHE, progress if place.first else None
+        )
 
 
 def _train(
     place: Place, data: Path, out: Path, config: Config, real: Path | None, resume: bool, force: bool, init: Path | None, vgg: Path | None,
-    progress: Progress | None,
+    cache: Path, progress: Progress | None,
 ) -> dict[str, Any]:  # fmt: skip
     began = time.perf_counter()
     datasets = [load_dataset(path) for path in (data, real) if path is not None]
     provenance = _provenance(datasets, init, vgg)
     if place.first:
         _open_run(out, config, provenance, resume, force)
-    parts, held = _gather(place, datasets, config, out, progress)
-    repeat = config.model.model == "paper"
-    stream = Stream(parts, config, repeat)
+    parts, presses = _gather(place, datasets, config, cache, progress)
+    read = time.perf_counter() - began
+    stream, held = Stream(parts, config, place.device), batches(presses, place.device)
     kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
     network = _network(config, kept, init, vgg, stream, parts).to(place.device)
-    optimizer = _optimizer(network, config)
+    optimizer, averaged = _optimizer(network, config), _averaged(network, kept)
     first = 0
     best = math.inf
     if kept is not None:
@@ -108,30 +118,20 @@ def _train(
         first, best = kept.step, kept.best
     model: torch.nn.Module = torch.nn.parallel.DistributedDataParallel(network) if place.world > 1 else network
     settings = config.train
-    loader = torch.utils.data.DataLoader(
-        stream,
-        batch_sampler=Steps(first, settings.steps, settings.batch, place.rank, place.world),
-        num_workers=settings.workers,
-        collate_fn=collate,
-        pin_memory=place.device.type == "cuda",
-        persistent_workers=settings.workers > 0,
-        # Forked ones share the mapped pictures.
-        multiprocessing_context="fork" if settings.workers else None,
-    )
     curves = Curves(out, first) if place.first else None
     autocast = _autocast(config, place.device)
-    seen, loop_began, since, losses = 0, time.perf_counter(), time.perf_counter(), []
+    spent, since, losses = 0.0, time.perf_counter(), []
 
     def save(step: int) -> None:
-        state = Checkpoint(config, step, network.state_dict(), optimizer.state_dict(), best, provenance=provenance)
+        state = Checkpoint(config, step, network.state_dict(), optimizer.state_dict(), averaged.state_dict(), best, provenance=provenance)
         checkpoints.save(out / "last.pt", state)
 
     with _stop_signal(place) as stop:
-        for step, batch in enumerate(loader, start=first):
+        for step in range(first, settings.steps):
             for group in optimizer.param_groups:
                 group["lr"] = rate_at(step, config)
             torch.manual_seed(int(np.random.SeedSequence([settings.seed, 4, step, place.rank]).generate_state(1)[0]))
-            batch = batch.to(place.device)
+            batch = stream.batch(share(step, settings.batch, place.rank, place.world))
             model.train()
             with autocast():
                 output = model(batch)
@@ -141,20 +141,24 @@ def _train(
             if settings.clip:
                 torch.nn.utils.clip_grad_norm_(network.parameters(), settings.clip)
             optimizer.step()
+            _average(averaged, network, step, settings.average)
             losses.append(loss.detach())
-            seen += settings.batch
             done = step + 1
             if done % settings.validate_every == 0 or done == settings.steps:
                 if not all(torch.isfinite(value) for value in losses):
                     raise LearnError(f"train: the loss is not finite before step {done}; try a lower --rate than {settings.rate:g}")
+                # Whoever reads a loss has waited for the device: the time is that of the steps, without validation.
+                seconds = time.perf_counter() - since
+                spent += seconds
                 if curves is not None:
-                    found = _validation(network, held, place.device)
-                    seconds = time.perf_counter() - since
+                    found = _validation(averaged, held)
                     mean = float(torch.stack(losses).mean())
                     curves.add(done, loss=mean, rate=rate_at(step, config), videos_per_s=len(losses) * settings.batch / seconds, **found)
                     if found.get("validation_loss", mean) < best:
                         best = found.get("validation_loss", mean)
-                        checkpoints.save(out / "model.pt", Checkpoint(config, done, network.state_dict(), best=best, provenance=provenance))
+                        checkpoints.save(
+                            out / "model.pt", Checkpoint(config, done, averaged.state_dict(), best=best, provenance=provenance)
+                        )
                     save(done)
                     curves.draw()
                 losses, since = [], time.perf_counter()
@@ -165,21 +169,24 @@ def _train(
                 if curves is not None:
                     curves.close()
                 raise KeyboardInterrupt
-    loop = time.perf_counter() - loop_began
     if place.world > 1:
         distributed.barrier()
     if curves is None:
         return {}
     curves.close()
-    report = _finish(out, config, stream, held, place.device, provenance)
+    report = _finish(out, config, stream, presses, place.device, provenance)
     report |= {
         "parameters": parameter_count(network),
         "device": _device_name(place.device),
         "devices": place.world,
         "steps_now": settings.steps - first,
-        "videos_per_s": round(seen / loop, 2) if seen else None,
+        "videos_per_s": round((settings.steps - first) * settings.batch / spent, 2) if spent else None,
+        "seconds_reading": round(read, 1),
         "seconds": round(time.perf_counter() - began, 1),
+        "presses": stream.presses,
         "without_contact": stream.without_contact,
+        "memory_mb": _memory(place.device),
+        "prediction": _prediction_cost(out / "model.pt", presses),
     }
     _write_json(out / "report.json", report)
     return report
@@ -207,6 +214,22 @@ def _optimizer(network: Network, config: Config) -> torch.optim.Optimizer:
     return torch.optim.AdamW(groups, lr=settings.rate)
 
 
+def _averaged(network: Network, kept: Checkpoint | None) -> Network:
+    """The network whose weights follow those of the trained one slowly: what is validated and kept."""
+    averaged = copy.deepcopy(network).eval().requires_grad_(False)
+    if kept is not None and kept.averaged is not None:
+        averaged.load_state_dict(kept.averaged)
+    return averaged
+
+
+@torch.no_grad()
+def _average(averaged: Network, network: Network, step: int, most: float) -> None:
+    """θ̄ ← d θ̄ + (1 − d) θ, d at most `most` and smaller in the first steps, whose weights are soon worthless."""
+    decay = min(most, (1 + step) / (10 + step))
+    for kept, now in zip(averaged.parameters(), network.parameters(), strict=True):
+        kept.lerp_(now, 1 - decay)
+
+
 def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Path | None, stream: Stream, parts: list[Archive]) -> Network:
     if kept is not None:
         return kept.build()
@@ -230,22 +253,23 @@ def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Pa
 
 
 def _gather(
-    place: Place, datasets: list[Dataset], config: Config, out: Path, progress: Progress | None
+    place: Place, datasets: list[Dataset], config: Config, cache: Path, progress: Progress | None
 ) -> tuple[list[Archive], list[Press]]:
     """The archives to train on, and the presses to validate on: real ones where there are any."""
-    cache = out / "cache"
     divided = [sides(dataset, config.train.seed) for dataset in datasets]
-    if len(datasets) == 2 and config.train.real_presses:
-        chosen = np.random.default_rng([config.train.seed, 5]).permutation(divided[1][0])[: config.train.real_presses]
-        divided[1] = (sorted(map(int, chosen)), divided[1][1])
+    for number, most in zip(range(len(datasets)), (config.train.presses, config.train.real_presses), strict=False):
+        if most:
+            chosen = np.random.default_rng([config.train.seed, 5]).permutation(divided[number][0])[:most]
+            divided[number] = (sorted(map(int, chosen)), divided[number][1])
     if not place.first:  # the first process fills the cache, the others map it
         distributed.barrier()
-    parts = [archive(dataset, train, config.input, cache, progress) for dataset, (train, _) in zip(datasets, divided, strict=True)]
+    workers = config.train.workers
+    parts = [archive(dataset, train, config.input, cache, progress, workers) for dataset, (train, _) in zip(datasets, divided, strict=True)]
     with_validation = [number for number, (_, validation) in enumerate(divided) if validation]
     held: list[Press] = []
     if place.first and with_validation:
         number = with_validation[-1]
-        part = archive(datasets[number], divided[number][1], config.input, cache, progress)
+        part = archive(datasets[number], divided[number][1], config.input, cache, progress, workers)
         presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
         held = [press for press in presses if press is not None]
     if place.first and place.world > 1:
@@ -253,11 +277,11 @@ def _gather(
     return parts, held
 
 
-def _validation(network: Network, held: list[Press], device: torch.device) -> dict[str, float]:
+def _validation(network: Network, held: list[Batch]) -> dict[str, float]:
     if not held:
         return {}
-    found = estimate(network, held, device)
-    target = np.array([press.target for press in held])
+    found = estimate(network, held)
+    target = torch.cat([part.target for part in held]).cpu().numpy()
     known = np.isfinite(target)
     if not known.any():
         return {"validation_loss": found.loss}
@@ -280,18 +304,19 @@ def _finish(
     network = best.build().to(device)
     # Beyond the last step: draws that no step saw.
     start = config.train.steps * config.train.batch
-    draws = [stream[start + number] for number in range(min(NOVELTY_DRAWS, 10 * stream.presses))]
-    trained = estimate(network, draws, device).statistics
+    last, batch = start + min(NOVELTY_DRAWS, 10 * stream.presses), config.train.batch
+    trained = estimate(network, (stream.batch(range(at, min(at + batch, last))) for at in range(start, last, batch))).statistics
     report: dict[str, Any] = {"step": best.step, "validation_loss": best.best, "validation_presses": len(held)}
     statistics = torch.empty((0, trained.shape[1]), dtype=trained.dtype)
     if held:
-        found = estimate(network, held, device)
+        shown = batches(held, device)
+        found = estimate(network, shown)
         target = np.array([press.target for press in held])
         best.spread_factor = spread_factor(found, target)
-        rng = np.random.default_rng([config.train.seed, 6])
-        varied = [varied_press(press, rng, config) for press in held for _ in range(NOVELTY_VARIED)] if config.augment.augment else []
         # What randomisation may have made of a press is not unlike the training either.
-        statistics = estimate(network, [*held, *varied], device).statistics
+        copies = NOVELTY_VARIED if config.augment.augment else 0
+        changed = [part for copy_ in range(copies) for part in varied(held, [config.train.seed, 6, copy_], config, device)]
+        statistics = estimate(network, [*shown, *changed]).statistics
         known = np.isfinite(target)
         if known.any():
             report["validation_rmse"] = float(np.sqrt(((found.mean - target)[known] ** 2).mean()))
@@ -300,6 +325,29 @@ def _finish(
     best.novelty = novelty.to_plain()
     checkpoints.save(out / "model.pt", best)
     return report | {"spread_factor": best.spread_factor, "novelty_threshold": novelty.threshold, "provenance": provenance}
+
+
+def _memory(device: torch.device) -> float:
+    """The most that was held [MB]: of the GPU, or of the process."""
+    if device.type == "cuda":
+        return round(torch.cuda.max_memory_allocated(device) / 1e6, 1)
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, 1)  # kilobytes on Linux
+
+
+def _prediction_cost(model: Path, presses: list[Press]) -> dict[str, Any] | None:
+    """Of one press at the network's size on a CPU with two threads: median time, without reading it."""
+    if not presses:
+        return None
+    network, cpu, threads, seconds = checkpoints.load(model).build(), torch.device("cpu"), torch.get_num_threads(), []
+    torch.set_num_threads(2)
+    try:
+        for _ in range(PREDICTIONS):
+            began = time.perf_counter()
+            estimate(network, batches(presses[:1], cpu))
+            seconds.append(time.perf_counter() - began)
+    finally:
+        torch.set_num_threads(threads)
+    return {"device": "CPU, 2 threads", "milliseconds": round(1e3 * float(np.median(seconds)), 2)}
 
 
 def _open_run(out: Path, config: Config, provenance: dict[str, Any], resume: bool, force: bool) -> None:

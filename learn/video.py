@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from gelsim.dataset import load_dataset, read_episode
 from learn.config import InputConfig, LearnError
-from learn.data import Recording, record_episode, with_noise
 from learn.frames import change_signal, fit_picture, levels_of
+from learn.recordings import Recording, record_episode, with_noise
 
 MOST_SECONDS, MOST_FRAMES, MOST_PIXELS = 60.0, 1800, 2**25
 """A minute at 30 frames a second; pictures of up to 33 million pixels."""

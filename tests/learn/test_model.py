@@ -12,8 +12,11 @@ from conftest import TINY
 
 from gelsim.dataset import load_dataset
 from learn.config import LearnError, configure
-from learn.data import HARDEST, Batch, Stream, archive, collate, sides
-from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, load_vgg, parameter_count
+from learn.data import HARDEST, Batch, sides
+from learn.features import press_features
+from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, load_vgg, parameter_count, shape_of
+from learn.recordings import archive
+from learn.stream import Stream
 
 CONFIG = configure(**TINY)
 
@@ -21,8 +24,7 @@ CONFIG = configure(**TINY)
 @pytest.fixture(scope="module")
 def batch(fake_data: Path) -> Batch:
     dataset = load_dataset(fake_data)
-    stream = Stream([archive(dataset, sides(dataset, 0)[0], CONFIG.input)], CONFIG, False)
-    return collate([stream[position] for position in range(8)], at_least=CONFIG.input.frames)
+    return Stream([archive(dataset, sides(dataset, 0)[0], CONFIG.input)], CONFIG).batch(range(8))
 
 
 def with_output(
@@ -38,6 +40,19 @@ def with_output(
 
 def test_ours_is_compact() -> None:
     assert parameter_count(build(configure())) <= 10_000_000
+
+
+def test_the_shape_that_the_network_sees_is_that_of_the_baselines(batch: Batch) -> None:
+    """Area, size and slope by NumPy and by torch; the change is strong, so that something is over the threshold."""
+    change = 6 * (batch.pictures[:, -1:] - batch.background[:, None])
+    found = shape_of(change)[:, 0].numpy()
+    pictures = (change + batch.background[:, None]).movedim(2, -1).numpy()
+    background = batch.background.movedim(1, -1).numpy()
+    told = np.stack([press_features(p, b, np.zeros(1), np.zeros((1, 0, 2)))[0] for p, b in zip(pictures, background, strict=True)])
+    assert (told[:, 1] > 0.05).sum() >= 4
+    # Sums of 768 float32 numbers.
+    assert found[:, 0] ** 2 == pytest.approx(told[:, 1], abs=1e-5) and found[:, 1] / 4 == pytest.approx(told[:, 3], abs=1e-4)
+    assert np.expm1(2 * found[:, 2]) == pytest.approx(told[:, 2], rel=1e-4)
 
 
 def test_padding_does_not_change_an_output(batch: Batch) -> None:

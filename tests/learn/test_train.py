@@ -17,7 +17,7 @@ from conftest import TINY, fake_dataset
 from learn import checkpoint
 from learn.config import LearnError, configure, from_plain, to_plain
 from learn.logs import read_curves
-from learn.train import rate_at, train
+from learn.train import _average, rate_at, train
 
 
 def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
@@ -40,6 +40,8 @@ def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Pat
             assert not torch.equal(tensor, half.network[name]), name  # it did learn meanwhile
     for number, state in whole.optimizer["state"].items():
         assert all(torch.equal(value, resumed.optimizer["state"][number][key]) for key, value in state.items())
+    assert whole.averaged and resumed.averaged
+    assert all(torch.equal(tensor, resumed.averaged[name]) for name, tensor in whole.averaged.items())
     assert whole.best == resumed.best
     best = [checkpoint.load(folder / "model.pt") for folder in (tiny_run, tmp_path / "run")]
     assert best[0].spread_factor == best[1].spread_factor and best[0].novelty is not None and best[1].novelty is not None
@@ -55,6 +57,7 @@ def test_a_run_writes_what_it_promises(tiny_run: Path) -> None:
     assert any((tiny_run / "tensorboard").glob("events.*"))
     assert from_plain(json.loads((tiny_run / "config.json").read_text())) == configure(**TINY, steps=6)
     report = json.loads((tiny_run / "report.json").read_text())
+    assert report["videos_per_s"] > 0 and report["memory_mb"] > 0 and report["prediction"]["milliseconds"] > 0
     assert report["validation_presses"] > 0 and report["validation_rmse"] > 0 and report["provenance"]["begun_from"] == "random weights"
     assert str(tiny_run) not in (tiny_run / "run.json").read_text()  # no path of this machine travels with a checkpoint
 
@@ -80,6 +83,27 @@ def test_fine_tuning_on_a_few_real_presses_begins_from_the_network(fake_data: Pa
     assert all(torch.equal(before[name], after[name]) for name in before)  # at rate 0
     with pytest.raises(LearnError, match="network and input are others"):
         train(fake_data, tmp_path / "wrong", configure(**TINY | {"hidden": 8}, steps=1), init=tiny_run / "model.pt")
+
+
+def test_weights_are_averaged_as_told(tiny_run: Path) -> None:
+    """Two equal networks, one of which moves: after three steps the other is where the sums say."""
+    network, averaged = (checkpoint.load(tiny_run / "model.pt").build() for _ in range(2))
+    expected = 0.0
+    begun = next(averaged.parameters()).clone()
+    for step in range(3):
+        with torch.no_grad():
+            next(network.parameters()).add_(1.0)
+        _average(averaged, network, step, 0.15)
+        decay = min(0.15, (1 + step) / (10 + step))
+        expected = decay * expected + (1 - decay) * (step + 1)
+    assert torch.allclose(next(averaged.parameters()), begun + expected, atol=1e-5)
+
+
+def test_fewer_presses_are_a_part_of_all(fake_data: Path, tmp_path: Path) -> None:
+    few = train(fake_data, tmp_path / "few", configure(**TINY, steps=1, presses=5), cache=tmp_path / "cache")
+    every = train(fake_data, tmp_path / "all", configure(**TINY, steps=1), cache=tmp_path / "cache")
+    assert few["presses"] <= 5 < every["presses"]
+    assert not (tmp_path / "few" / "cache").exists() and len(list((tmp_path / "cache").iterdir())) == 1
 
 
 def test_the_papers_rate_falls_in_steps() -> None:
