@@ -316,8 +316,8 @@ class Render:
     mode: str = "path"
     """"path": traced, with inter-reflection | "direct": traced, light straight from the emitters | "baked": path, from the sensor's light
     field, which is measured once."""
-    spp: int = 12
-    """Light paths a pixel, rounded up so that every light gets the same number."""
+    spp: int = 16
+    """Light paths a pixel, rounded up to a nearly square grid; on scalar variants until every light gets the same number."""
     resolution: tuple[int, int] = (480, 360)
 
 

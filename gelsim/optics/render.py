@@ -50,10 +50,7 @@ def render_frames(
     if scene.render.mode == "baked":
         draw = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen).picture
     else:
-        renderer = Renderer(scene, chosen)
-
-        def draw(membrane: Membrane) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            return renderer.radiance(membrane), height_map(scene, membrane)
+        draw = Renderer(scene, chosen).picture
 
     for index, membrane in enumerate(membranes):
         radiance, height = draw(membrane)
@@ -77,20 +74,27 @@ class Renderer:
     def __init__(self, scene: Scene, variant: VariantChoice) -> None:
         mi = use_variant(variant)
         parts = scene_dict(scene)
-        self._seed = scene.seed
+        self._scene = scene
         if variant.name.startswith("scalar"):
-            self._draw = ScalarRenderer(mi, scene, parts).radiance
+            self._scalar = ScalarRenderer(mi, scene, parts)
         else:
+            self._scalar = None
             self._tracer = Tracer(mi, scene, scene.render.spp)
-            self._draw = self._trace
 
     def radiance(self, membrane: Membrane, seed: int | None = None) -> NDArray[np.float32]:
         """Linear RGB of the membrane, shape (H, W, 3); `seed` other than the scene's gives an independent estimate."""
-        return self._draw(membrane, self._seed if seed is None else seed)
-
-    def _trace(self, membrane: Membrane, seed: int) -> NDArray[np.float32]:
+        seed = self._scene.seed if seed is None else seed
+        if self._scalar is not None:
+            return self._scalar.radiance(membrane, seed)
         self._tracer.place(membrane)
         return np.array(self._tracer.picture(seed), np.float32)
+
+    def picture(self, membrane: Membrane) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Radiance, and z of the membrane at the pixels' centres [m] as in `camera.height_map`."""
+        radiance = self.radiance(membrane)
+        if self._scalar is not None:
+            return radiance, height_map(self._scene, membrane)
+        return radiance, np.array(self._tracer.height(), np.float32) * np.float32(1e-3)
 
 
 class ScalarRenderer:

@@ -5,12 +5,15 @@ A pixel is the mean over `spp` paths of the radiance L along its ray in the gel 
     L = Σ_lights ∫ f cos θ V L_e cos θ' / r² dA  +  ∫ f cos θ L_in dω.
 
 *Direct.* Every light is sampled once a path, by area, its random numbers stratified over the pixel: no choice among lights, no colour
-noise. A light within the window is also seen in the window's outer face, by its mirror image times Fresnel's reflectance.
+noise. Its light is counted as if nothing stood in the way; each path asks one light in turn whether something does, and what is hidden is
+taken off, times the number of lights that share the asking (a difference estimator: without bias, exact where all is seen). A light within
+the window is also seen in the window's outer face, by its mirror image times Fresnel's reflectance.
 *Indirect.* What the membrane sends to itself, straight or by way of the window's outer face, is the radiance of a diffuse surface, known
 at its vertices: L = ρ E / π, E from the direct light and two rounds of gathering (a third would add albedo³ of what returns, below 0.5 %).
-Straight: one direction a path, cosine distributed. By way of the window: a sum over patches of the gel, without rays. So a path ends after
-one bounce, and no rare bright path is left: flakes that the camera does not see scatter like pigment of their albedo. `bounces` > 0 follows
-paths that long instead, with the whole coat at every vertex and the window by chance: slow and noisy, for tests and studies.
+What of it arrives is smooth and is gathered at the vertices that the camera sees: straight along cosine distributed rays; by way of the
+window from places on the gel, without search. Paths interpolate it. So no path goes on after its first point, and no rare bright one is
+left: flakes that the camera does not see scatter like pigment of their albedo. `bounces` > 0 follows paths that long instead, with the
+whole coat at every vertex and the window by chance: slow and noisy, for tests and studies.
 *Window.* The outer face reflects by Fresnel's equations and lets the rest go (housing and camera are black). The way through gel and
 window is exact for what the coat scatters; for the mirror images of lights the window counts as gel of its apparent thickness. The window
 is as wide as the gel.
@@ -22,28 +25,33 @@ indirect ray meets the membrane. Left out: shadows between the window's face and
 from __future__ import annotations
 
 import functools
+import math
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.optics.camera import gel_ray, make_lens, sideways
+from gelsim.optics.camera import gel_ray, make_lens, sideways, solve_slope
 from gelsim.optics.coating import flake_albedo, grain_pattern, marker_coverage
 from gelsim.optics.scene_dict import mesh_arrays
 from gelsim.optics.spectra import light_colour
+from gelsim.optics.stratified import grid_of, path_groups, path_sets
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene import Light, Scene
 
 OFFSET = 2e-3
 """Of a ray's start from the surface [mm], along the normal: Mitsuba's own is of this size here."""
 GATHER_ROUNDS = 2
 POOL_CELLS = 32
 """Along a side of the gel: what the window returns has travelled centimetres, finer detail is lost in it."""
-PATCHES = 3
-"""Along a side of the gel; with 16 paths a pixel's light from the window is a sum over 9 x 16 places."""
 VERTEX_GATHER_RAYS = 4
-"""From a vertex, and one sample on each light. Vertices are 0.08 mm apart, and a pixel averages over as many as it has paths."""
+"""From a vertex in each round, and one sample on each light: what is gathered from is an average over many vertices."""
+SEEN_GATHER_RAYS = (16, 64)
+"""From a vertex that the camera sees: as many as a pixel has paths, within these."""
+GOLDEN = 0.6180339887
+"""Steps of this share of a circle cover it evenly."""
 
 
 class Tracer:
@@ -60,9 +68,18 @@ class Tracer:
         self._grain = self._texture(grain) if grain.size > 1 else None
         self._mesh: Any = None
         self._traced: Any = None
-        self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
-        # Rounded up to what can be laid out as a grid.
-        self.spp = self._sampler.sample_count()
+        self._cells: tuple[Any, Any, int] | None = None
+        self.spp = math.prod(grid_of(spp))
+        # Long paths need more numbers than the sets have.
+        self._sampler = mi.load_dict({"type": "multijitter", "sample_count": self.spp}) if bounces else None
+        sources = sum(2 if self._mirrored(light) else 1 for light in scene.lights.lights)
+        # Of a group's paths there is at least one in every grid that has as many columns.
+        self._turns = 1 if bounces else max(min(sources, grid_of(spp)[0]), 1)
+        groups = path_groups(spp, self._turns)
+        self._turn = mi.UInt32(np.repeat(np.arange(self._turns), groups).astype(np.uint32))
+        self._times = mi.Float(np.repeat(self.spp / groups, groups).astype(np.float32))
+        self._sets: Any = None
+        self._lots: tuple[int, Any] | None = None
 
     def _values(self) -> dict[str, Any]:
         """The numbers of lights, coat and camera, by their names in the scene file; what derivatives are taken by."""
@@ -102,6 +119,8 @@ class Tracer:
             for name, values in arrays.items():
                 parameters[name] = values.ravel()
             parameters.update()
+            pooled = self.scene.lights.window_reflection and self.scene.render.mode != "direct"
+            self._cells = self._pool_cells(arrays["vertex_texcoords"]) if pooled else None
             self._mesh, self._traced = mesh, mi.load_dict({"type": "scene", "membrane": mesh})
         else:
             parameters = mi.traverse(self._traced)
@@ -111,6 +130,36 @@ class Tracer:
         self._points = mi.Point3f(np.ascontiguousarray(arrays["vertex_positions"].T))
         self._normals = mi.Vector3f(np.ascontiguousarray(arrays["vertex_normals"].T))
         self._uv = mi.Point2f(np.ascontiguousarray(arrays["vertex_texcoords"].T))
+        self._seen = mi.UInt32(np.flatnonzero(self._in_field(arrays["vertex_positions"])).astype(np.uint32))
+
+    def _pool_cells(self, uv: NDArray[np.float32]) -> tuple[Any, Any, int]:
+        """Vertices of each cell of the pool, with their shares of its mean, in rows of equal length, filled up with shares of 0."""
+        column, row = np.minimum((uv * POOL_CELLS).astype(int), POOL_CELLS - 1).T
+        cell = column + row * POOL_CELLS
+        order, counts = np.argsort(cell, kind="stable"), np.bincount(cell, minlength=POOL_CELLS**2)
+        longest = int(counts.max())
+        members, share = np.zeros((POOL_CELLS**2, longest), np.uint32), np.zeros((POOL_CELLS**2, longest), np.float32)
+        place = np.arange(len(cell)) - np.repeat(np.cumsum(counts) - counts, counts)
+        members[cell[order], place], share[cell[order], place] = order, 1 / counts[cell[order]]
+        return self.mi.UInt32(members.ravel()), self.mi.Float(share.ravel()), longest
+
+    def _in_field(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether points [mm] are in the box that the camera's outermost rays span over their heights, or within two vertices of it."""
+        width, height = self.scene.render.resolution
+        rim = np.concatenate(
+            [
+                [[x, y] for x in np.linspace(0, width, 9) for y in (0, height)],
+                [[x, y] for x in (0, width) for y in np.linspace(0, height, 9)],
+            ]
+        )
+        origin, direction, _ = gel_ray(make_lens(self.scene, 1.0), rim[:, 0], rim[:, 1])
+        x, y, z = np.ascontiguousarray(points.T)
+        inside = np.ones(len(points), bool)
+        for axis, places in enumerate((x, y)):
+            margin = 2 * np.ptp(places) / np.sqrt(len(points))
+            ends = [origin[axis] + direction[axis] / direction[2] * (level - origin[2]) for level in (z.min(), z.max())]
+            inside &= (places > np.min(ends) - margin) & (places < np.max(ends) + margin)
+        return inside
 
     # ---- coat ----
 
@@ -130,28 +179,41 @@ class Tracer:
             total += share * flake_albedo(self.scene.coating.roughness) * values["coating.flake_reflectance"]
         return (1 - coverage) * self.dr.clip(grain * total, 0, 1) + coverage * mi.Color3f(self.scene.markers.albedo)
 
-    def _reflect(self, coat: tuple[Any, Any], normal: Any, to_eye: Any, to_light: Any) -> Any:
-        """f cos θ for unit directions away from the surface."""
+    def _reflectances(self, coat: tuple[Any, Any]) -> tuple[Any, Any]:
+        """What multiplies the two numbers of `_lobes`: colours of pigment and paint, and of flakes."""
         mi, dr, values = self.mi, self.dr, self.values
         grain, coverage = coat
-        cos_eye, cos_light = dr.dot(normal, to_eye), dr.dot(normal, to_light)
-        lit = (cos_eye > 0) & (cos_light > 0)
         share = values["coating.specular"]
         pigment = (1 - share) * dr.clip(grain * values["coating.albedo"], 0, 1) / dr.pi
-        total = (1 - coverage) * pigment + coverage * mi.Color3f(self.scene.markers.albedo / dr.pi)
-        if self.scene.coating.specular > 0:
-            alpha = values["coating.roughness"]
-            half = dr.normalize(to_eye + to_light)
-            slope = dr.square(dr.dot(normal, half)) * (dr.square(alpha) - 1) + 1
-            facets = dr.square(alpha) / (dr.pi * dr.square(slope))
+        flakes = (1 - coverage) * share * dr.clip(grain * values["coating.flake_reflectance"], 0, 1)
+        return (1 - coverage) * pigment + coverage * mi.Color3f(self.scene.markers.albedo / dr.pi), flakes
 
-            # G1/(2 cos) of Smith's shadowing, each.
-            def seen(cosine: Any) -> Any:
-                return 1 / (cosine + dr.sqrt(dr.square(alpha) + (1 - dr.square(alpha)) * dr.square(cosine)))
+    def _lobes(self, normal: Any, to_eye: Any, to_light: Any) -> tuple[Any, Any]:
+        """cos θ, and that times a white flake's reflection, for unit directions away from the surface; 0 where unlit or unseen."""
+        mi, dr = self.mi, self.dr
+        cos_eye, cos_light = dr.dot(normal, to_eye), dr.dot(normal, to_light)
+        cosine = dr.select((cos_eye > 0) & (cos_light > 0), cos_light, 0.0)
+        if self.scene.coating.specular == 0:
+            return cosine, mi.Float(0.0)
+        alpha = self.values["coating.roughness"]
+        half = dr.normalize(to_eye + to_light)
+        slope = dr.square(dr.dot(normal, half)) * (dr.square(alpha) - 1) + 1
+        facets = dr.square(alpha) / (dr.pi * dr.square(slope))
 
-            flakes = facets * seen(dr.maximum(cos_eye, 1e-4)) * seen(dr.maximum(cos_light, 1e-4))
-            total += (1 - coverage) * share * flakes * dr.clip(grain * values["coating.flake_reflectance"], 0, 1)
-        return dr.select(lit, total * cos_light, 0.0)
+        # G1/(2 cos) of Smith's shadowing, each.
+        def seen(cosine: Any) -> Any:
+            return 1 / (cosine + dr.sqrt(dr.square(alpha) + (1 - dr.square(alpha)) * dr.square(cosine)))
+
+        return cosine, cosine * facets * seen(dr.maximum(cos_eye, 1e-4)) * seen(dr.maximum(cos_light, 1e-4))
+
+    def _reflect(self, coat: tuple[Any, Any], normal: Any, to_eye: Any, to_light: Any) -> Any:
+        """f cos θ for unit directions away from the surface."""
+        return self._weighted(self._reflectances(coat), self._lobes(normal, to_eye, to_light))
+
+    def _weighted(self, reflectances: tuple[Any, Any], received: tuple[Any, Any]) -> Any:
+        """Radiance of what `_lobes` received."""
+        total = reflectances[0] * received[0]
+        return total if self.scene.coating.specular == 0 else total + reflectances[1] * received[1]
 
     # ---- light ----
 
@@ -161,12 +223,26 @@ class Tracer:
         sine_squared = (lights.gel_ior / lights.window_ior) ** 2 * (1 - dr.square(cosine))
         return self.mi.fresnel(dr.sqrt(dr.maximum(1 - sine_squared, 0)), self.mi.Float(1 / lights.window_ior))[0]
 
-    def _illuminate(self, point: Any, normal: Any, receive: Any, sample: Any) -> Any:
-        """Σ over the lights of `receive(direction)` times irradiance per cosine; `sample()` gives a point of the unit square."""
+    def _face(self) -> float:
+        """z of the window's outer face [mm], were the window gel."""
+        lights = self.scene.lights
+        return -(self.scene.gel.thickness_mm + lights.window_thickness_mm * lights.gel_ior / lights.window_ior)
+
+    def _mirrored(self, light: Light) -> bool:
+        """Whether the light is seen in the window's outer face too."""
+        return self.scene.lights.window_reflection and light.position_mm[2] > self._face()
+
+    def _illuminate(self, point: Any, normal: Any, receive: Any, sample: Any, turn: Any = 0, times: Any = 1) -> tuple[Any, ...]:
+        """Σ over the lights of each number of `receive(direction)` times irradiance per cosine.
+
+        Args:
+            sample: A function that gives a point of the unit square.
+            turn, times: Of as many lights as there are turns one is asked for its visibility, and what is hidden counts `times` as much.
+        """
         mi, dr, values, scene = self.mi, self.dr, self.values, self.scene
         start = point + OFFSET * normal
-        total = mi.Color3f(0.0)
-        face = -(scene.gel.thickness_mm + scene.lights.window_thickness_mm * scene.lights.gel_ior / scene.lights.window_ior)
+        sources = []
+        face = self._face()
         for i, light in enumerate(scene.lights.lights):
             facing = dr.normalize(values[f"lights.{i}.direction"])
             upright = light.direction[0] == 0 and light.direction[1] == 0
@@ -176,28 +252,50 @@ class Tracer:
             flux = values[f"lights.{i}.rgb"] * values[f"lights.{i}.power"] * ((light.lobe + 1) / (2 * dr.pi))
             where = sample() - 0.5
             source = values[f"lights.{i}.position_mm"] + along * (where.x * size.x) + dr.cross(facing, along) * (where.y * size.y)
-            total += self._from(start, normal, source, facing, flux, light.lobe, receive)
-            if scene.lights.window_reflection and light.position_mm[2] > face:
+            sources.append((source, facing, flux, light.lobe))
+            if self._mirrored(light):
                 image = mi.Point3f(source.x, source.y, 2 * face - source.z)
                 way = image - start
                 cosine = -way.z / dr.norm(way)
                 meets = start + way * ((face - start.z) / way.z)
                 weight = dr.select(self._on_window(meets), self._window_reflectance(cosine), 0.0)
-                total += self._from(start, normal, image, mi.Vector3f(facing.x, facing.y, -facing.z), flux * weight, light.lobe, receive)
+                sources.append((image, mi.Vector3f(facing.x, facing.y, -facing.z), flux * weight, light.lobe))
+        total: tuple[Any, ...] = ()
+        turns = 1 if isinstance(turn, int) else self._turns
+        for first in range(0, len(sources), turns):
+            asked: tuple[Any, Any, Any] | None = None
+            for i, source in enumerate(sources[first : first + turns]):
+                direction, distance, light = self._from(start, normal, *source, receive)
+                total = tuple(old + new for old, new in zip(total, light, strict=True)) if total else light
+                if asked is None:
+                    # Where this group has no light for a lane's turn, it asks for nothing.
+                    mine = (turn == 0) if turns > 1 else True
+                    asked = direction, distance, tuple(dr.select(mine, part, 0.0) for part in light)
+                else:
+                    mine, parts = turn == i, zip(asked[2], light, strict=True)
+                    asked = (
+                        dr.select(mine, direction, asked[0]),
+                        dr.select(mine, distance, asked[1]),
+                        tuple(dr.select(mine, new, old) for old, new in parts),
+                    )
+            assert asked is not None
+            ray = mi.Ray3f(dr.detach(start), dr.detach(asked[0]))
+            ray.maxt = dr.detach(asked[1]) * (1 - 1e-4)
+            hidden = self._traced.ray_test(ray, dr.any(dr.detach(asked[2][0]) > 0))
+            total = tuple(old - dr.select(hidden, times * part, 0.0) for old, part in zip(total, asked[2], strict=True))
         return total
 
-    def _from(self, start: Any, normal: Any, source: Any, facing: Any, flux: Any, lobe: float, receive: Any) -> Any:
-        mi, dr = self.mi, self.dr
+    def _from(self, start: Any, normal: Any, source: Any, facing: Any, flux: Any, lobe: float, receive: Any) -> tuple[Any, Any, Any]:
+        """Direction of a place on a light, its distance, and what is received from it if nothing stands in the way."""
+        dr = self.dr
         way = source - start
         distance = dr.norm(way)
         direction = way / distance
         cosine = dr.maximum(-dr.dot(direction, facing), 0)
         emitted = cosine if lobe == 1.0 else dr.power(dr.maximum(cosine, 1e-6), lobe)
-        active = (cosine > 0) & (dr.dot(normal, direction) > 0)
-        ray = mi.Ray3f(dr.detach(start), dr.detach(direction))
-        ray.maxt = dr.detach(distance) * (1 - 1e-4)
-        active &= ~self._traced.ray_test(ray, active)
-        return dr.select(active, flux * (emitted / dr.square(distance)) * receive(direction), 0.0)
+        strength = dr.select((cosine > 0) & (dr.dot(normal, direction) > 0), emitted / dr.square(distance), 0.0)
+        light = flux * strength
+        return direction, distance, tuple(light * part for part in receive(direction))
 
     def _on_window(self, point: Any) -> Any:
         width, height = self.scene.gel.size_mm
@@ -230,110 +328,140 @@ class Tracer:
         ray.o, ray.d = dr.select(hit, ray.o, back.o), dr.select(hit, ray.d, back.d)
         return ray, dr.select(hit, met, returned), share
 
-    def _gathered(self, met: Any, share: Any, glow: Any) -> Any:
-        """What the membrane sends from where rays met it: `glow` at the vertices, interpolated over the triangle."""
+    def _gathered(self, met: Any, values: Any, active: Any) -> Any:
+        """Colours that are known at the vertices (a flat array), interpolated where rays met the membrane."""
         mi, dr = self.mi, self.dr
-        active = share > 0
         corner = dr.gather(mi.Vector3u, self._mesh.faces_buffer(), met.prim_index, active)
         first, second = met.prim_uv.x, met.prim_uv.y
-        total = (1 - first - second) * dr.gather(mi.Color3f, glow, corner.x, active)
-        total += first * dr.gather(mi.Color3f, glow, corner.y, active) + second * dr.gather(mi.Color3f, glow, corner.z, active)
-        return dr.select(active, total * share, 0.0)
+        total = (1 - first - second) * dr.gather(mi.Color3f, values, corner.x, active)
+        total += first * dr.gather(mi.Color3f, values, corner.y, active) + second * dr.gather(mi.Color3f, values, corner.z, active)
+        return dr.select(active, total, 0.0)
 
-    def _glow(self) -> tuple[Any, Any]:
+    def _glow(self, seed: int) -> tuple[Any, Any]:
         """Radiance of the membrane as a diffuse surface: at its vertices, a flat array of RGB, and pooled for the window."""
         mi, dr = self.mi, self.dr
-        point, normal = self._points, self._normals
-        count = dr.width(point)
         albedo = self._albedo(self._uv) / dr.pi
+        random = mi.PCG32(size=dr.width(self._points), initstate=seed)
 
-        random = mi.PCG32(size=count, initstate=self.scene.seed)
+        def cosine(way: Any) -> tuple[Any]:
+            return (dr.maximum(dr.dot(self._normals, way), 0),)
 
-        def cosine(way: Any) -> Any:
-            return dr.maximum(dr.dot(normal, way), 0)
-
-        def random_point() -> Any:
-            return mi.Point2f(random.next_float32(), random.next_float32())
-
-        direct = self._illuminate(point, normal, cosine, random_point)
+        (direct,) = self._illuminate(self._points, self._normals, cosine, lambda: mi.Point2f(random.next_float32(), random.next_float32()))
         dr.eval(direct)
         glow = albedo * direct
-        pool = self._pool(glow)
-        # All gathering rays at once, ordered by vertex.
-        rays = VERTEX_GATHER_RAYS
-        index = dr.arange(mi.UInt32, count * rays)
-        vertex = index // rays
-        turns = mi.PCG32(size=count * rays, initstate=self.scene.seed + 1)
-        frame = mi.Frame3f(dr.gather(mi.Vector3f, dr.ravel(normal), vertex))
-        start = dr.gather(mi.Point3f, dr.ravel(point), vertex) + OFFSET * frame.n
-        for _ in range(GATHER_ROUNDS):
-            square = mi.Point2f((mi.Float(index % rays) + turns.next_float32()) / rays, turns.next_float32())
-            ray = mi.Ray3f(start, frame.to_world(self._cosine_hemisphere(square)))
-            met = self._traced.ray_intersect_preliminary(ray, False)
-            near = self._gathered(met, dr.select(met.is_valid(), mi.Float(1.0), 0.0), dr.ravel(glow))
-            received = mi.Color3f(*(dr.block_sum(channel, rays) for channel in near)) * (dr.pi / rays)
-            if pool is not None:
-                received += self._returned(point, normal, cosine, random_point, pool)
-            glow = albedo * (direct + received)
+        for turn in range(GATHER_ROUNDS):
             dr.eval(glow)
-            pool = self._pool(glow)
-        return dr.ravel(glow), pool
+            (received,) = self._received(dr.ravel(glow), self._pool(glow), VERTEX_GATHER_RAYS, (seed, turn))
+            glow = albedo * (direct + received)
+        dr.eval(glow)
+        return dr.ravel(glow), self._pool(glow)
+
+    def _received(self, glow: Any, pool: Any, rays: int, seeds: tuple[int, int], lens: Any = None) -> tuple[Any, ...]:
+        """What vertices receive of the membrane's own light: irradiance; with a camera also what flakes make of it, at what it sees."""
+        mi, dr = self.mi, self.dr
+        count = dr.width(self._points)
+        chosen = None if lens is None else self._seen
+        index = dr.arange(mi.UInt32, (count if chosen is None else dr.width(chosen)) * rays)
+        number, ray = index // rays, mi.Float(index % rays)
+        vertex = number if chosen is None else dr.gather(mi.UInt32, chosen, number)
+        # One lattice for all, shifted by vertex.
+        shift = mi.PCG32(size=dr.width(index) // rays, initstate=seeds[0], initseq=seeds[1] + 1)
+        shifts = [dr.gather(mi.Float, dr.detach(value), number) for value in self._evaluated(shift.next_float32() for _ in range(4))]
+        even, golden = (ray + shifts[0]) / rays, ray * GOLDEN
+        square = mi.Point2f(even, golden + shifts[1] - dr.floor(golden + shifts[1]))
+        where = mi.Point2f((ray + shifts[2]) / rays, golden + shifts[3] - dr.floor(golden + shifts[3]))
+        point = dr.gather(mi.Point3f, dr.ravel(self._points), vertex)
+        frame = mi.Frame3f(dr.gather(mi.Vector3f, dr.ravel(self._normals), vertex))
+        to_eye = None
+        if chosen is not None:
+            # Once a vertex, not once a ray.
+            there = self._to_eye(lens, dr.gather(mi.Point3f, dr.ravel(self._points), chosen))
+            to_eye = dr.gather(mi.Vector3f, dr.ravel(there), number)
+
+        def receive(way: Any) -> tuple[Any, ...]:
+            if to_eye is None:
+                return (dr.maximum(dr.dot(frame.n, way), 0),)
+            return self._lobes(frame.n, to_eye, way)
+
+        local = self._cosine_hemisphere(square)
+        onward = frame.to_world(local)
+        met = self._traced.ray_intersect_preliminary(mi.Ray3f(point + OFFSET * frame.n, onward), False)
+        near = self._gathered(met, glow, met.is_valid()) * (dr.pi / dr.maximum(local.z, 1e-6))
+        total = tuple(near * part for part in receive(onward))
+        if pool is not None:
+            returned = self._returned(point, frame.n, receive, where, pool)
+            total = tuple(straight + back for straight, back in zip(total, returned, strict=True))
+        means = tuple(mi.Color3f(*(dr.block_sum(channel, rays) / rays for channel in part)) for part in total)
+        if chosen is None:
+            return means
+        spread = []
+        for part in means:
+            whole = dr.zeros(mi.Float, 3 * count)
+            dr.scatter(whole, part, chosen)
+            spread.append(whole)
+        return tuple(spread)
+
+    def _evaluated(self, values: Any) -> list[Any]:
+        values = list(values)
+        self.dr.eval(values)
+        return values
+
+    def _to_eye(self, lens: Any, point: Any) -> Any:
+        """Unit directions in the gel from points toward the pinhole."""
+        mi, dr = self.mi, self.dr
+        x, y = point.x - lens.foot[0], point.y - lens.foot[1]
+        reach = dr.maximum(dr.sqrt(dr.square(x) + dr.square(y)), 1e-4)
+        window, (gel, gel_index) = lens.layers
+        slope = solve_slope(reach, lens.air, (window, (gel + point.z, gel_index)), dr.sqrt)
+        in_gel = slope / dr.sqrt(gel_index**2 + (gel_index**2 - 1) * dr.square(slope))
+        return dr.normalize(mi.Vector3f(-x / reach * in_gel, -y / reach * in_gel, -1))
 
     def _pool(self, glow: Any) -> Any:
         """What the window mirrors: `glow`, height and its slopes on a coarse grid of the gel, a texture of 6 channels; or None."""
         mi, dr = self.mi, self.dr
-        if not self.scene.lights.window_reflection:
+        if self._cells is None:
             return None
-        cell = dr.minimum(mi.UInt32(self._uv.x * POOL_CELLS), POOL_CELLS - 1)
-        cell += dr.minimum(mi.UInt32(self._uv.y * POOL_CELLS), POOL_CELLS - 1) * POOL_CELLS
+        members, share, longest = self._cells
         normal = self._normals
-        count, sums = dr.zeros(mi.Float, POOL_CELLS**2), dr.zeros(mi.Float, POOL_CELLS**2 * 6)
-        dr.scatter_reduce(dr.ReduceOp.Add, count, dr.ones(mi.Float, dr.width(cell)), cell)
-        for channel, values in enumerate((*glow, self._points.z, -normal.x / normal.z, -normal.y / normal.z)):
-            dr.scatter_reduce(dr.ReduceOp.Add, sums, values, cell * 6 + channel)
-        means = sums / dr.gather(mi.Float, count, dr.arange(mi.UInt32, POOL_CELLS**2 * 6) // 6)
+        sums = []
+        for values in (*glow, self._points.z, -normal.x / normal.z, -normal.y / normal.z):
+            # In a fixed order, so that the same membrane gives the same bits.
+            sums.append(dr.block_sum(dr.gather(mi.Float, values, members) * share, longest))
+        cell = dr.arange(mi.UInt32, POOL_CELLS**2) * 6
+        means = dr.zeros(mi.Float, POOL_CELLS**2 * 6)
+        for channel, values in enumerate(sums):
+            dr.scatter(means, values, cell + channel)
         return mi.Texture2f(mi.TensorXf(means, (POOL_CELLS, POOL_CELLS, 6)), use_accel=False)
 
-    def _returned(self, point: Any, normal: Any, receive: Any, sample: Any, pool: Any) -> Any:
-        """Light that the membrane sends to the window's outer face and that comes back: Σ over patches of the gel, a place drawn in each.
+    def _returned(self, point: Any, normal: Any, receive: Any, where: Any, pool: Any) -> tuple[Any, ...]:
+        """Light that the membrane sends to the window's outer face and that comes back, from a place of the gel: `where` in its square.
 
         The way between two points, by Snell through the window and back, has a slope s found by Newton's method from the paraxial one on.
-        An area dA is seen under the solid angle s (1 − s dz/dr) / ((1 + s²)^(3/2) r ∂r/∂s) dA, dz/dr the slope of the gel there. One ray
-        tells whether the membrane is in the way, along a direction drawn in proportion to what comes along it.
+        An area dA is seen under the solid angle s (1 − s dz/dr) / ((1 + s²)^(3/2) r ∂r/∂s) dA, dz/dr the slope of the gel there. A ray
+        tells whether the membrane is in the way before the window.
         """
         mi, dr, lights = self.mi, self.dr, self.scene.lights
         width, height = self.scene.gel.size_mm
         depth = self.scene.gel.thickness_mm
         ratio = lights.window_ior / lights.gel_ior
         window = ((2 * lights.window_thickness_mm, ratio),)
-        total, chosen, sum_ = mi.Color3f(0.0), mi.Vector3f(0, 0, -1), mi.Float(1e-20)
-        lot = sample().x
-        for patch in range(PATCHES**2):
-            place = (mi.Point2f(patch % PATCHES, patch // PATCHES) + sample()) / PATCHES
-            red, green, blue, level, slope_x, slope_y = pool.eval(place)
-            apart = (place - 0.5) * mi.Vector2f(width, height) - mi.Point2f(point.x, point.y)
-            reach = dr.maximum(dr.norm(apart), 1e-3)
-            gel = point.z + level + 2 * depth
-            slope = reach / (gel + 2 * lights.window_thickness_mm / ratio)
-            for _ in range(3):
-                value, rate = sideways(slope, gel, window, dr.sqrt)
-                slope += (reach - value) / rate
-            _, rate = sideways(slope, gel, window, dr.sqrt)
-            cosine = dr.rsqrt(1 + dr.square(slope))
-            direction = mi.Vector3f(apart.x / reach * slope * cosine, apart.y / reach * slope * cosine, -cosine)
-            tilt = 1 - slope * (apart.x * slope_x + apart.y * slope_y) / reach
-            angle = dr.maximum(tilt, 0) * slope * cosine**3 / (reach * rate) * (width * height / PATCHES**2)
-            light = receive(direction) * mi.Color3f(red, green, blue) * (self._window_reflectance(cosine) * angle)
-            total += light
-            weight = dr.detach(dr.mean(light))
-            sum_ += weight
-            share = weight / sum_
-            take = lot < share
-            chosen = dr.select(take, dr.detach(direction), chosen)
-            lot = dr.select(take, lot / share, (lot - share) / dr.maximum(1 - share, 1e-12))
-        ray = mi.Ray3f(dr.detach(point + OFFSET * normal), chosen)
-        ray.maxt = dr.detach(point.z + depth) / dr.maximum(-chosen.z, 1e-3)
-        return dr.select(self._traced.ray_test(ray), 0.0, total)
+        red, green, blue, level, slope_x, slope_y = pool.eval(where)
+        apart = (where - 0.5) * mi.Vector2f(width, height) - mi.Point2f(point.x, point.y)
+        reach = dr.maximum(dr.norm(apart), 1e-3)
+        gel = point.z + level + 2 * depth
+        slope = reach / (gel + 2 * lights.window_thickness_mm / ratio)
+        for _ in range(3):
+            value, rate = sideways(slope, gel, window, dr.sqrt)
+            slope += (reach - value) / rate
+        _, rate = sideways(slope, gel, window, dr.sqrt)
+        cosine = dr.rsqrt(1 + dr.square(slope))
+        direction = mi.Vector3f(apart.x / reach * slope * cosine, apart.y / reach * slope * cosine, -cosine)
+        tilt = 1 - slope * (apart.x * slope_x + apart.y * slope_y) / reach
+        angle = dr.maximum(tilt, 0) * slope * cosine**3 / (reach * rate) * (width * height)
+        ray = mi.Ray3f(dr.detach(point + OFFSET * normal), dr.detach(direction))
+        ray.maxt = dr.detach(point.z + depth) / dr.maximum(dr.detach(cosine), 1e-3)
+        light = mi.Color3f(red, green, blue) * dr.select(self._traced.ray_test(ray), 0.0, self._window_reflectance(cosine) * angle)
+        return tuple(light * part for part in receive(direction))
 
     def _cosine_hemisphere(self, square: Any) -> Any:
         """Cosine distributed directions, the square's first side the angle with the normal: it decides what the window returns."""
@@ -348,34 +476,37 @@ class Tracer:
         mi, dr, scene = self.mi, self.dr, self.scene
         width, height = scene.render.resolution
         indirect = scene.render.mode != "direct"
-        glow, pool = self._glow() if indirect and not self.bounces else (None, None)
-        sampler = self._sampler
-        sampler.set_samples_per_wavefront(self.spp)
-        sampler.seed(seed, width * height * self.spp)
-        pixel = dr.arange(mi.UInt32, width * height * self.spp) // self.spp
-        jitter = sampler.next_2d()
         lens = make_lens(scene, 1.0, self.values["camera.distance_mm"], self.values["camera.offset_mm"], dr.sqrt)
+        received = None
+        if indirect and not self.bounces:
+            least, most = SEEN_GATHER_RAYS
+            received = self._received(*self._glow(seed), min(max(self.spp, least), most), (seed, GATHER_ROUNDS), lens)
+            dr.eval(received)
+        index = dr.arange(mi.UInt32, width * height * self.spp)
+        pixel, path = index // self.spp, index % self.spp
+        sample = self._samples(seed, width * height, pixel, path)
+        jitter = sample()
+        # A pixel's paths share the lights.
+        turn, times = dr.gather(mi.UInt32, self._turn, path), dr.gather(mi.Float, self._times, path)
         origin, direction, _ = gel_ray(lens, mi.Float(pixel % width) + jitter.x, mi.Float(pixel // width) + jitter.y, dr.sqrt)
         ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
-        found = self._traced.ray_intersect(ray)
+        met = self._traced.ray_intersect_preliminary(ray, True)
+        found = met.compute_surface_interaction(ray)
         active, to_eye = found.is_valid(), -ray.d
         total, weight = mi.Color3f(0.0), mi.Color3f(1.0)
         for bounce in range(max(self.bounces, 1)):
             normal, point = found.sh_frame.n, found.p
-            receive = functools.partial(self._reflect, self._coat(found.uv), normal, to_eye)
-            total += dr.select(active, weight * self._illuminate(point, normal, receive, sampler.next_2d), 0.0)
-            if not indirect or (self.bounces and bounce == self.bounces - 1):
+            receive = functools.partial(self._lobes, normal, to_eye)
+            reflectances = self._reflectances(self._coat(found.uv))
+            light = self._illuminate(point, normal, receive, sample, turn, times)
+            if received is not None:
+                light = tuple(old + self._gathered(met, new, active) for old, new in zip(light, received, strict=True))
+            total += dr.select(active, weight * self._weighted(reflectances, light), 0.0)
+            if bounce >= self.bounces - 1 or not indirect:
                 break
-            local = self._cosine_hemisphere(sampler.next_2d())
+            local = self._cosine_hemisphere(sample())
             onward = mi.Frame3f(normal).to_world(local)
-            weight *= dr.select(active, receive(onward) * (dr.pi / dr.maximum(local.z, 1e-6)), 0.0)
-            if glow is not None:
-                straight = mi.Ray3f(dr.detach(point + OFFSET * normal), dr.detach(onward))
-                met = self._traced.ray_intersect_preliminary(straight, False, active=active)
-                total += weight * self._gathered(met, dr.select(met.is_valid(), mi.Float(1.0), 0.0), glow)
-                if pool is not None:
-                    total += dr.select(active, self._returned(point, normal, receive, sampler.next_2d, pool), 0.0)
-                break
+            weight *= dr.select(active, self._weighted(reflectances, receive(onward)) * (dr.pi / dr.maximum(local.z, 1e-6)), 0.0)
             ray, met, share = self._next(point + OFFSET * normal, onward, active)
             weight *= share
             active &= share > 0
@@ -383,3 +514,33 @@ class Tracer:
             to_eye = -ray.d
         mean = [dr.block_sum(channel, self.spp) / self.spp for channel in total]
         return mi.TensorXf(dr.ravel(mi.Color3f(*mean)), (height, width, 3))
+
+    def height(self) -> Any:
+        """z of the placed membrane at the pixels' centres [mm], a tensor (H, W); NaN where the camera sees no gel."""
+        mi, dr = self.mi, self.dr
+        width, height = self.scene.render.resolution
+        pixel = dr.arange(mi.UInt32, width * height)
+        origin, direction, _ = gel_ray(make_lens(self.scene, 1.0), mi.Float(pixel % width) + 0.5, mi.Float(pixel // width) + 0.5, dr.sqrt)
+        ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
+        met = self._traced.ray_intersect_preliminary(ray, True)
+        return mi.TensorXf(dr.select(met.is_valid(), ray.o.z + met.t * ray.d.z, dr.nan), (height, width))
+
+    def _samples(self, seed: int, pixels: int, pixel: Any, path: Any) -> Callable[[], Any]:
+        """A function that gives points of the unit square: first for the place in the pixel, then for the place on the lights.
+
+        All lights get the same place, for their sum alone is seen.
+        """
+        mi, dr = self.mi, self.dr
+        if self._sampler is not None:
+            self._sampler.set_samples_per_wavefront(self.spp)
+            self._sampler.seed(seed, pixels * self.spp)
+            return self._sampler.next_2d
+        if self._sets is None:
+            sets = path_sets(self.spp, self._turns, 0)
+            self._sets = len(sets), mi.Float(sets.ravel())
+        count, values = self._sets
+        if self._lots is None or self._lots[0] != seed:
+            self._lots = seed, mi.UInt32(np.random.default_rng(seed).integers(count, size=pixels, dtype=np.uint32))
+        x, y, across, up = dr.gather(mi.Vector4f, values, dr.gather(mi.UInt32, self._lots[1], pixel) * self.spp + path)
+        points = [mi.Point2f(x, y), mi.Point2f(across, up)]
+        return lambda: points.pop(0) if len(points) > 1 else points[0]
