@@ -1,7 +1,7 @@
 """Section `convergence`: a rigid ball and a soft hemisphere as profiles on four meshes, each with edges half as long as the one before.
 
-Errors are against the finest mesh, orders log₂ of two successive ones. The contact radius is that of the area of loaded Gauss points,
-which jumps by parts of an edge.
+Errors are against the finest mesh, orders log₂ of two successive ones. The contact radius is known to a tenth of an edge or so, and does
+not fall smoothly.
 """
 
 from __future__ import annotations

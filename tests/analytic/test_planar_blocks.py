@@ -181,7 +181,7 @@ def test_line_contact() -> None:
     modulus = 100e3 / (1 - 0.499**2)
     force = -press.force[-1, 2] / 0.1
     half = press.contact_area[-1] / 0.1 / 2
-    # strains of b/R = 0.1 and the layer's thickness (b/T)² each change the half space by about 1 %; b is counted by Gauss points
+    # strains of b/R = 0.1 and the layer's thickness (b/T)² each change the half space by about 1 %
     assert half == pytest.approx(np.sqrt(4 * force * 5e-3 / (np.pi * modulus)), rel=0.03)
     assert press.contact_pressure[-1].max() == pytest.approx(np.sqrt(force * modulus / (np.pi * 5e-3)), rel=0.03)
     assert 0.06 < half / 5e-3 < 0.15

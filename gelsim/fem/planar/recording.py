@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.fem.indicator import MOVING
-from gelsim.fem.planar.elements import edge_gradient, edge_quadrature, edge_shape
+from gelsim.fem.planar.elements import edge_quadrature, edge_shape
 from gelsim.fem.planar.problem import PlanarProblem
+from gelsim.fem.planar.touching import touching_intervals
 from gelsim.fem.problem import KPA, MM
 from gelsim.fem.recording import Recorder, whole_surface
 from gelsim.geometry import PlanarMesh, QuadraticSurface, quadratic_faces
@@ -38,11 +39,14 @@ class PlanarRecorder(Recorder):
     def _contact(self) -> tuple[float, Array]:
         """Area in contact [m²] of the whole body, projected on the window, and pressure [Pa] at all nodes."""
         problem, contact = self.problem, self.problem.contact
-        place, rule = edge_quadrature(contact.points)
+        place, _ = edge_quadrature(contact.points)
         x = (problem.solids.rest + problem.solids.displacement.numpy())[contact.gel_faces][..., 0]
-        seen = np.abs(x @ edge_gradient(place).T) * rule * (x @ edge_shape(place).T if problem.turned else 1.0)
-        pressure = contact.pressure.numpy()
-        area = seen.ravel()[pressure > 0].sum() * problem.copies / MM**2
+        pressure = np.asarray(contact.pressure.numpy(), np.float64)
+        # augmentation leaves half the penalty's smoothing as overlap
+        opening = contact.gap.numpy().reshape(len(x), -1) + problem.law.smoothing / 2
+        ends = np.sort(x[:, :2], axis=1)
+        start, end = touching_intervals(ends, x @ edge_shape(place).T, opening, pressure.reshape(len(x), -1)).T
+        area = ((end**2 - start**2) / 2 if problem.turned else end - start).sum() * problem.copies / MM**2
         # hats of the two halves of an edge: positive weights to average with
         hats = np.stack([np.maximum(1 - 2 * place, 0), np.maximum(2 * place - 1, 0), 1 - np.abs(2 * place - 1)], axis=1)
         weight = contact.rest_weight.reshape(len(contact.gel_faces), -1)
