@@ -92,7 +92,7 @@ def _child(fidelity: str, batch: int, device: str, ready: Any, done: Any) -> Non
 
 
 def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
-    from gelsim.fem import solve_batch
+    from gelsim.fem import CONTACT_POINTS, solve_batch
     from gelsim.fem.batch import Costs, copy_bandwidth
 
     prepared = _scenes(symmetry, fidelity, batch)
@@ -102,7 +102,7 @@ def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
     presses = solve_batch(prepared, device=device)
     seconds = time.perf_counter() - start
     solve_batch(prepared, device=device, costs=costs)
-    failed = [press for press in presses if press.status is not SolveStatus.CONVERGED]
+    failed = {number: press for number, press in enumerate(presses) if press.status is not SolveStatus.CONVERGED}
     bandwidth = copy_bandwidth(device)
     tens = {name: costs.calls.get(name, 0) * batch for name in ("residual", "tangent")}
     systems = costs.systems
@@ -110,8 +110,10 @@ def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
     moved += costs.element_bytes * (tens["residual"] + tens["tangent"]) + 16.0 * costs.matrix_entries * tens["tangent"]
     bound = moved / bandwidth
     row: Row = {
-        "status": SolveStatus.CONVERGED.name if not failed else failed[0].status.name,
-        "message": failed[0].message if failed else "",
+        "status": next((press.status.name for press in failed.values()), SolveStatus.CONVERGED.name),
+        "message": "; ".join(f"{number}: {press.message}" for number, press in failed.items()),
+        "failed": len(failed),
+        "tried_again": sum(press.info["contact_points"] != CONTACT_POINTS[0] for press in presses),
         "device": device,
         "batch": batch,
         "unknowns": costs.unknowns,
@@ -132,6 +134,7 @@ SECTION = Section(
     title="Batches",
     columns=(
         ("case", "name"), ("device", "device"), ("unknowns", "unknowns"), ("presses a second", "presses_per_second"),
+        ("stopped early", "failed"), ("tried again with more contact points", "tried_again"),
         ("force error, largest [%]", "force_error_percent"), ("Newton iterations a press", "newton_iterations"),
         ("factorisations", "factorisations"), ("factorise [ms]", "factorise_ms"), ("solve", "solve_ms"), ("residual", "residual_ms"),
         ("tangent", "tangent_ms"), ("pattern", "pattern_ms"), ("march", "march_ms"), ("roofline [ms]", "roofline_ms"),

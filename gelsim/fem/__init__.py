@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,14 +71,20 @@ def solve_press(
         problem = PressProblem(*bodies, part_materials=part_materials, contact_points=points)
         press = run_press(problem, progress=progress, throw=False)
         press.info["contact_points"] = points
-        if best is None or len(press.approach) > len(best.approach) or press.status is SolveStatus.CONVERGED:
-            best = press
+        best = _further(best, press)
         if press.status is SolveStatus.CONVERGED:
             break
     assert best is not None
     if throw and best.status is not SolveStatus.CONVERGED:
         raise SolveError(best.message, best)
     return best
+
+
+def _further(before: Deformation | None, press: Deformation) -> Deformation:
+    """Of two tries of one press the one to return."""
+    if before is None or len(press.approach) > len(before.approach) or press.status is SolveStatus.CONVERGED:
+        return press
+    return before
 
 
 def batch_device(device: str) -> str:
@@ -92,7 +99,7 @@ def batch_device(device: str) -> str:
 def solve_batch(
     bodies: Sequence[tuple], *, device: str, progress: Callable[[int, int], None] | None = None, costs: Costs | None = None
 ) -> list[Deformation]:
-    """Solves presses with the same meshes side by side.
+    """Solves presses with the same meshes side by side; those that fail are tried once more as by `solve_press`, side by side too.
 
     Args:
         bodies: Of each press the scene, gel, body and placement, as `solve_press` takes them.
@@ -105,14 +112,31 @@ def solve_batch(
     from gelsim.fem.problem import PressProblem
     from gelsim.materials import gel_material, object_materials
 
-    problems, start = [], time.perf_counter()
-    for scene, gel, body, placement in bodies:
-        of_object = list(object_materials(scene).values())
-        first = of_object[0] if of_object else None
-        problems.append(PressProblem(scene, gel, body, placement, gel_material(scene), first, device, part_materials=of_object[1:]))
-    if costs is not None:
-        costs.seconds["prepare"] = time.perf_counter() - start
-    return run_batch(problems, progress=progress, costs=costs)
+    best: dict[int, Deformation] = {}
+    failed = list(range(len(bodies)))
+    for points in CONTACT_POINTS:
+        problems, start, before = [], time.perf_counter(), len(bodies) - len(failed)
+        for number in failed:
+            scene, gel, body, placement = bodies[number]
+            of_object = list(object_materials(scene).values())
+            first = of_object[0] if of_object else None
+            of_all = scene, gel, body, placement, gel_material(scene), first, device
+            problems.append(PressProblem(*of_all, part_materials=of_object[1:], contact_points=points))
+        if costs is not None:
+            costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
+        told = None if progress is None else partial(_told, progress, before, len(bodies))
+        for number, press in zip(failed, run_batch(problems, progress=told, costs=costs), strict=True):
+            press.info["contact_points"] = points
+            best[number] = _further(best.get(number), press)
+        failed = [number for number in failed if best[number].status is not SolveStatus.CONVERGED]
+        if not failed:
+            break
+    return [best[number] for number in range(len(bodies))]
+
+
+def _told(progress: Callable[[int, int], None], before: int, all_of_them: int, done: int, _: int) -> None:
+    """Tells how many presses of a batch are done, `before` of them in an earlier try."""
+    progress(before + done, all_of_them)
 
 
 def differentiate_press(

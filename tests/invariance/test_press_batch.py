@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,6 +70,28 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
     assert len(lost.approach) == 1
     assert kept.status is SolveStatus.CONVERGED
     assert np.abs(kept.force - single.force).max() < SAME * np.abs(single.force).max()
+
+
+def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `solve_press` does; the others are left as they are."""
+    asked = []
+
+    def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
+        asked.append([(problem.contact.points, problem.law.stiffness) for problem in problems])
+        progress(len(problems), len(problems))
+        stopped = [len(asked) == 1 and number == 1 for number in range(len(problems))]
+        return [replace(solved, status=SolveStatus.MAX_ITERATIONS if stop else solved.status, info={}) for stop in stopped]
+
+    scenes, told = [scene(100.0), scene(45.0), scene(400.0)], []
+    solved = alone(scenes[0])
+    monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
+    bodies = [(one, *pipeline.bodies(one)) for one in scenes]
+    presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
+    assert [[points for points, _ in tries] for tries in asked] == [[6, 6, 6], [12]]
+    assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
+    assert [press.info["contact_points"] for press in presses] == [6, 12, 6]
+    assert all(press.status is SolveStatus.CONVERGED for press in presses)
+    assert told == [(3, 3), (3, 3)]
 
 
 def test_scenes_of_other_meshes_are_told_apart() -> None:
