@@ -135,6 +135,7 @@ def _parser() -> Parser:
     bench.add_argument("--page", metavar="FILE.md", help="also put the tables in their places in this page")
     bench.add_argument("--data", metavar="DIR", help="folder of measured data (default: $GELSIM_DATA); sections without it say so")
     bench.add_argument("--limit", type=int, metavar="N", help="stop after N new cases; --resume goes on")
+    bench.add_argument("--workers", type=int, default=1, metavar="N", help="processes, each on one thread (default: 1)")
     bench.add_argument("--force", action="store_true", help="begin again in an existing folder")
     bench.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
     _add_output_flags(bench, _bench)
@@ -301,6 +302,7 @@ def _bench(options: argparse.Namespace) -> dict[str, Any]:
             force=options.force,
             limit=options.limit,
             page=Path(options.page) if options.page else None,
+            workers=options.workers,
             progress=progress,
         )
     if not options.json:

@@ -1,65 +1,65 @@
-"""assets/reference/contact_radius.csv: contact radii by our own profiles, with edges of 0.04 mm where the other code has 0.05 to 0.2 mm.
+"""assets/reference/contact_radius.csv: contact radii by our own profiles, edges of 0.03 to 0.05 mm where the other code has 0.05 to 0.2.
 
-    python docs/studies/contact_radius.py           (some minutes)
+    python docs/studies/contact_radius.py 18        in so many processes: 18 presses of up to two minutes each, alone
     python docs/studies/contact_radius.py solids    compares solid quarters with the file
 
-The cases of assets/reference/{ball,hemisphere}_force.csv on the same disc. Two radii bracket the true one: that of the outermost Gauss
-point with pressure, at most a Gauss distance too small, and that of the area of all such points, up to an edge too large, as multipliers
-are linear over an edge. The file has their mean and half their distance, plus half a Gauss distance, as its error.
+The cases of assets/reference/{ball,hemisphere}_force.csv on the same disc. Each is solved on three meshes, whose vertices lie elsewhere
+when contact ends between two: the file has the mean of their radii (`gelsim/fem/planar/touching.py`), and as its error the largest
+distance from it. The force is the finest mesh's.
 """
 
 from __future__ import annotations
 
 import csv
+import os
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelsim import materials, pipeline
 from gelsim.bench.presses import ball, hemisphere
 from gelsim.fem.planar.problem import PlanarProblem
-from gelsim.fem.planar.recording import PlanarRecorder
 from gelsim.fem.quasistatic import run_press
 from gelsim.profiles import mesh_profiles
 from gelsim.scene_file import assets_folder, build_scene
 
-FINER = 6.0
+Array = NDArray[np.float64]
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_THREADING_LAYER": "SEQUENTIAL"}
+FINER = (5.0, 6.5, 8.0)
 DISC = 12.5e-3
 
 
-class Outermost(PlanarRecorder):
-    """Notes the outermost loaded point of every state [mm]."""
-
-    def keep(self, approach: float, newton_iterations: int, factorisations: int) -> None:
-        super().keep(approach, newton_iterations, factorisations)
-        contact, solids = self.problem.contact, self.problem.solids
-        x = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0] @ contact.shape_values.T
-        loaded = contact.pressure.numpy() > 0
-        radii.append(float(x.ravel()[loaded].max()) if loaded.any() else 0.0)
-
-
-radii: list[float] = []
+def solve(nu: float, modulus: float | None, finer: float) -> tuple[Array, Array, Array]:
+    """Approach [m], radius [mm] and force [N] of all states but the first."""
+    scene = build_scene(ball(nu) if modulus is None else hemisphere(modulus, nu))
+    scene = scene.replace(press=replace(scene.press, symmetry="axisymmetric"))
+    of_object = materials.object_materials(scene).get("body")
+    gel, body = mesh_profiles(scene, finer=finer, gel_end=DISC)
+    press = run_press(PlanarProblem(scene, gel, body, materials.gel_material(scene), of_object, None, tolerance=1e-6))
+    radius = np.sqrt(press.contact_area / np.pi) * 1e3
+    print(nu, modulus, finer, press.info["unknowns"], radius.round(4), flush=True)
+    return press.approach[1:], radius[1:], -press.force[1:, 2]
 
 
-def write() -> None:
-    rows = []
+def write(processes: int) -> None:
     cases = [(nu, modulus) for nu in (0.49, 0.499) for modulus in (None, 50.0, 200.0)]
-    for nu, modulus in cases:
-        scene = build_scene(ball(nu) if modulus is None else hemisphere(modulus, nu))
-        scene = scene.replace(press=replace(scene.press, symmetry="axisymmetric"))
-        gel, body = mesh_profiles(scene, finer=FINER, gel_end=DISC)
-        of_object = materials.object_materials(scene).get("body")
-        problem = PlanarProblem(scene, gel, body, materials.gel_material(scene), of_object, None, tolerance=1e-6)
-        problem.record = lambda problem=problem: Outermost(problem)  # type: ignore[method-assign]
-        radii.clear()
-        press = run_press(problem)
-        edge = np.diff(np.sort(gel.nodes[np.unique(gel.groups["coated"][:, :2]), 0])).min() * 1e3
-        for approach, area, outer, force in list(zip(press.approach, press.contact_area, radii, press.force[:, 2], strict=True))[1:]:
-            whole = np.sqrt(area / np.pi) * 1e3
-            error = abs(whole - outer) / 2 + edge / 8
-            rows.append((nu, modulus or "rigid", f"{approach * 1e3:.1f}", f"{(whole + outer) / 2:.4f}", f"{error:.4f}", f"{-force:.6g}"))
-        print(nu, modulus, problem.solids.unknowns, edge, rows[-10], flush=True)
+    os.environ.update(ONE_THREAD)
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        asked = {(case, finer): pool.submit(solve, *case, finer) for finer in reversed(FINER) for case in cases}
+        solved = {key: future.result() for key, future in asked.items()}
+    rows = []
+    for case in cases:
+        approaches, _, forces = solved[case, FINER[-1]]
+        radii = np.transpose([solved[case, finer][1] for finer in FINER])
+        for approach, found, force in zip(approaches, radii, forces, strict=True):
+            error = np.abs(found - found.mean()).max()
+            name = (case[0], case[1] or "rigid", f"{approach * 1e3:.1f}")
+            rows.append((*name, f"{found.mean():.4f}", f"{error:.4f}", f"{force:.6g}"))
     with (assets_folder() / "reference" / "contact_radius.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("nu", "object_modulus_kPa", "approach_mm", "contact_radius_mm", "error_mm", "force_N"))
@@ -79,4 +79,4 @@ def compare() -> None:
 
 
 if __name__ == "__main__":
-    compare() if sys.argv[1:] == ["solids"] else write()
+    compare() if sys.argv[1:] == ["solids"] else write(int(*sys.argv[1:] or "1"))

@@ -1,6 +1,7 @@
 """A child process that measures cases one after the other, each within a time and all within a memory: what hangs or grows is ended.
 
-The child imports and compiles once; after it was ended a new one is started for the next case.
+The child imports and compiles once; after it was ended a new one is started for the next case. In a worker process (`gelsim.workers`),
+whose time is bounded by who started it, there is no child: the worker's own memory is bounded.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ class Bounded:
         self._pipe: Connection | None = None
 
     def __call__(self, *arguments: object) -> Row:
+        if multiprocessing.current_process().daemon:
+            _bound(self._memory)
+            return _row(self._measure, self._memory, arguments)
         if self._pipe is None:
             context = multiprocessing.get_context("spawn")
             self._pipe, other = context.Pipe()
@@ -61,23 +65,31 @@ class Bounded:
             self._pipe = self._child = None
 
 
-def _serve(pipe: Connection, measure: Callable[..., Row], memory: int) -> None:
+def _bound(memory: int) -> None:
+    """Bounds this process's own data [bytes]."""
     try:
         import resource
 
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
     except (ImportError, ValueError, OSError):  # no such bound on this system: the time alone is bounded
         pass
+
+
+def _row(measure: Callable[..., Row], memory: int, arguments: tuple[object, ...]) -> Row:
+    try:
+        return measure(*arguments)
+    except MemoryError:
+        return {"status": "MEMORY", "message": f"more than {memory / GIGABYTE:g} GB"}
+    except Exception as error:
+        return {"status": type(error).__name__, "message": str(error)}
+
+
+def _serve(pipe: Connection, measure: Callable[..., Row], memory: int) -> None:
+    _bound(memory)
     pipe.send(_READY)
     while True:
         try:
             arguments = pipe.recv()
         except EOFError:
             return
-        try:
-            row = measure(*arguments)
-        except MemoryError:
-            row = {"status": "MEMORY", "message": f"more than {memory / GIGABYTE:g} GB"}
-        except Exception as error:
-            row = {"status": type(error).__name__, "message": str(error)}
-        pipe.send(row)
+        pipe.send(_row(measure, memory, arguments))

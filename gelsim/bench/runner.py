@@ -1,18 +1,22 @@
-"""Runs the cases of sections, one after the other, and keeps what each gave: a run that was stopped goes on where it was."""
+"""Runs the cases of sections and keeps what each gave: a run that was stopped goes on where it was.
+
+One after the other, as seconds ask for; or with `workers` processes, each on one thread, where only the answers count.
+"""
 
 from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
-from gelsim.errors import GelsimError, SolveStatus
+from gelsim.errors import GelsimError, SceneError, SolveStatus
 from gelsim.ledger import Ledger
 from gelsim.tables import write_csv
+from gelsim.workers import Handful, Work, work_through
 
 RESULTS = "results.jsonl"
 
@@ -22,7 +26,7 @@ def load(name: str) -> Section:
 
 
 def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | None = None, resume: bool = False, force: bool = False,
-        limit: int | None = None, page: Path | None = None,
+        limit: int | None = None, page: Path | None = None, workers: int = 1,
         progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
     """Measures the cases and writes results.jsonl, one CSV a section, bench.md and plots into `out`.
 
@@ -30,31 +34,25 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
         sections: Their names; None for all.
         limit: Stop after so many cases that were not known before.
         page: A Markdown page whose tables of these sections are replaced.
+        workers: Processes that share the cases, each on one thread.
     Raises:
-        SceneError: `out` holds results and neither `resume` nor `force` was given, or `page` has no place for a section.
+        SceneError: `workers` is out of range, `out` holds results and neither `resume` nor `force` was given, or `page` has no
+            place for a section.
     """
     options = options or Options()
+    if not 1 <= workers <= 1024:
+        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
     wanted = [name for name in SECTIONS if sections is None or name in set(sections)]
     if page is not None:
         report.check_page(page, wanted)
     ledger = Ledger(out / RESULTS, resume=resume, force=force)
     known = ledger.rows
     todo: list[tuple[str, Case]] = [(name, case) for name in wanted for case in load(name).cases(options)]
-    fresh = 0
-    for number, (name, case) in enumerate(todo):
+    new = [(name, case) for name, case in todo if f"{name}/{case.name}" not in known][:limit]
+    for number, row in enumerate(_measured(new, options, workers)):
         if progress:
-            progress("bench", number, len(todo))
-        key = f"{name}/{case.name}"
-        if key in known or (limit is not None and fresh >= limit):
-            continue
-        row: Row = {"key": key, "section": name, "name": case.name}
-        try:
-            row |= case.measure()
-        except GelsimError as error:  # one case that cannot be is no reason to leave the others
-            row |= {"status": type(error).__name__, "message": str(error)}
-        fresh += 1
-        row["load"] = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
-        ledger.add(row)
+            progress("bench", len(todo) - len(new) + number, len(todo))
+        ledger.add(row | {"load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None})
     if progress:
         progress("bench", len(todo), len(todo))
     written = [_written(out, name, [f"{s}/{case.name}" for s, case in todo if s == name], known, options.quick) for name in wanted]
@@ -68,6 +66,34 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
         "missing": len(todo) - len(rows),
         "failed": [row["key"] for row in rows if row.get("status") != SolveStatus.CONVERGED.name],
     }
+
+
+def _measured(cases: list[tuple[str, Case]], options: Options, workers: int) -> Iterator[Row]:
+    """The row of each case, as it is known."""
+    if workers == 1:
+        yield from (_measure(name, case) for name, case in cases)
+        return
+
+    def lost(handful: Handful, status: str, message: str) -> Row:
+        name, case = cases[handful[0]]
+        return {"key": f"{name}/{case.name}", "section": name, "name": case.name, "status": status, "message": message}
+
+    names = [(name, case.name) for name, case in cases]
+    yield from work_through([(number,) for number in range(len(cases))], workers, _make_measurer, (names, options), lost)
+
+
+def _measure(name: str, case: Case) -> Row:
+    row: Row = {"key": f"{name}/{case.name}", "section": name, "name": case.name}
+    try:
+        return row | case.measure()
+    except GelsimError as error:  # one case that cannot be is no reason to leave the others
+        return row | {"status": type(error).__name__, "message": str(error)}
+
+
+def _make_measurer(names: list[tuple[str, str]], options: Options) -> Work[Row]:
+    """What a worker does: finds the case of a number by its name, and measures it."""
+    found = {(name, case.name): case for name in {name for name, _ in names} for case in load(name).cases(options)}
+    return lambda handful: _measure(names[handful[0]][0], found[names[handful[0]]])
 
 
 def _written(out: Path, name: str, keys: list[str], known: dict[str, Row], quick: bool) -> report.Table:

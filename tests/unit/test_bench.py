@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, rand
 from gelsim.bench.section import Case, Options, Section
 from gelsim.errors import SceneError
 from gelsim.scene_file import build_scene
+from gelsim.workers import Handful, work_through
 
 
 @pytest.mark.parametrize("name", SECTIONS)
@@ -157,3 +160,38 @@ def test_the_page_has_a_place_for_every_section(repository: Path) -> None:
     from gelsim.bench import report
 
     report.check_page(repository / "docs" / "validation.md", SECTIONS)
+
+
+def test_workers_share_the_cases(tmp_path: Path) -> None:
+    """Two processes give the rows that one gives, and a run that was stopped goes on."""
+    asked = {"sections": ["closed-forms"], "options": Options(quick=True, data=None)}
+    runner.run(tmp_path / "one", **asked, limit=2)
+    first = runner.run(tmp_path / "two", **asked, limit=2, workers=2)
+    again = runner.run(tmp_path / "two", **asked, limit=0, workers=2, resume=True)
+    assert first["missing"] == again["missing"] == again["cases"] + first["missing"] - 2
+    kept = [{key: value for key, value in row.items() if key not in ("load", "seconds")} for row in _rows(tmp_path / "one")]
+    shared = [{key: value for key, value in row.items() if key not in ("load", "seconds")} for row in _rows(tmp_path / "two")]
+    assert len(kept) == 2 and sorted(shared, key=str) == sorted(kept, key=str)
+    with pytest.raises(SceneError, match="--workers 0"):
+        runner.run(tmp_path / "three", **asked, workers=0)
+
+
+def _rows(folder: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (folder / runner.RESULTS).read_text().splitlines()]
+
+
+def test_a_worker_bounds_what_it_measures() -> None:
+    """A worker may have no children of its own: the random scenes are measured in it, and a failure is a row."""
+    found = list(work_through([(0,), (-1,)], 1, _make_drawer, (), lambda handful, status, message: {"status": status}))
+    assert [row["status"] for row in found] == ["CONVERGED", "ValueError"]
+
+
+def _make_drawer() -> Callable[[Handful], dict[str, object]]:
+    case = bounded.Bounded(_number, 10.0, 8 * bounded.GIGABYTE)
+    return lambda handful: case(handful[0])
+
+
+def _number(number: int) -> dict[str, object]:
+    if number < 0:
+        raise ValueError("less than nothing")
+    return {"status": "CONVERGED"}
