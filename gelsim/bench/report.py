@@ -30,12 +30,14 @@ def describe(name: str, section: Section, rows: list[Row], cases: int, quick: bo
     """Where the numbers come from, the table, and what it says as a whole."""
     if cases == 0:
         return f"Skipped: {section.needs}.\n"
-    command = f"gelsim bench --only {name}{' --quick' if quick else ''}"
+    workers = max((row.get("workers", 1) for row in rows), default=1)
+    command = f"gelsim bench --only {name}{' --quick' if quick else ''}{f' --workers {workers}' if workers > 1 else ''}"
+    cores = max((row.get("cores") or 0 for row in rows), default=0) or os.cpu_count()  # of the machine that measured
     loads = [row["load"] for row in rows if row.get("load") is not None]
     busy = f", load {min(loads):g} to {max(loads):g}" if loads else ""
     seconds = " Seconds: the solve alone, kernels and meshes cached." if any(field == "seconds" for _, field in section.columns) else ""
     part = "" if len(rows) == cases else f" {len(rows)} of {cases} cases so far."
-    lines = [f"`{command}`, {os.cpu_count()} cores ({platform.machine()}){busy}.{part}{seconds}", ""]
+    lines = [f"`{command}`, {cores} cores ({platform.machine()}){busy}.{part}{seconds}", ""]
     listed = section.listed(rows)
     if listed:
         lines += table(section.columns, listed)

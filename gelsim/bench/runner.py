@@ -49,12 +49,13 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     known = ledger.rows
     todo: list[tuple[str, Case]] = [(name, case) for name in wanted for case in load(name).cases(options)]
     new = [(name, case) for name, case in todo if f"{name}/{case.name}" not in known][:limit]
-    for number, row in enumerate(_measured(new, options, workers)):
+    if progress:
+        progress("bench", len(todo) - len(new), len(todo))
+    for number, row in enumerate(_measured(new, options, workers), start=1):
         if progress:
             progress("bench", len(todo) - len(new) + number, len(todo))
-        ledger.add(row | {"load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None})
-    if progress:
-        progress("bench", len(todo), len(todo))
+        busy = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
+        ledger.add(row | {"load": busy, "cores": os.cpu_count(), "workers": workers})
     written = [_written(out, name, [f"{s}/{case.name}" for s, case in todo if s == name], known, options.quick) for name in wanted]
     (out / "bench.md").write_text("\n".join(f"### {load(table.section).title}\n\n{table.markdown}" for table in written))
     if page is not None:

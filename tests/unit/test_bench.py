@@ -169,8 +169,10 @@ def test_workers_share_the_cases(tmp_path: Path) -> None:
     first = runner.run(tmp_path / "two", **asked, limit=2, workers=2)
     again = runner.run(tmp_path / "two", **asked, limit=0, workers=2, resume=True)
     assert first["missing"] == again["missing"] == again["cases"] + first["missing"] - 2
-    kept = [{key: value for key, value in row.items() if key not in ("load", "seconds")} for row in _rows(tmp_path / "one")]
-    shared = [{key: value for key, value in row.items() if key not in ("load", "seconds")} for row in _rows(tmp_path / "two")]
+    kept, shared = (
+        [{key: value for key, value in row.items() if key not in ("load", "seconds", "workers")} for row in _rows(tmp_path / folder)]
+        for folder in ("one", "two")
+    )
     assert len(kept) == 2 and sorted(shared, key=str) == sorted(kept, key=str)
     with pytest.raises(SceneError, match="--workers 0"):
         runner.run(tmp_path / "three", **asked, workers=0)
