@@ -11,7 +11,7 @@ ensemble of trees would, without another dependency.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class Baselines:
     """Shore 00, shape (B,)."""
     count: int
     """F."""
+    _known: dict[str, _Fitted] = field(default_factory=dict)
 
     def predict(self, name: str, asked: Sequence[NDArray[np.float64] | None]) -> NDArray[np.float64]:
         """Shore 00 of presses; None, a press without contact, gets the training mean."""
@@ -44,18 +45,38 @@ class Baselines:
         seen = [number for number, curve in enumerate(asked) if curve is not None]
         if name == NAMES[0] or not seen:
             return answer
-        columns = slice(-self.count, None) if name == NAMES[1] else slice(None)
-        train = np.stack(self.curves)[:, columns]
-        test = np.stack([curve for curve in asked if curve is not None])[:, columns]
-        middle, scale = train.mean(axis=0), train.std(axis=0)
-        scale[scale < 1e-12] = 1.0
-        train, test = (train - middle) / scale, (test - middle) / scale
-        if name == NAMES[3]:
-            gram, cross = _kernel(train, train), _kernel(test, train)
-        else:
-            gram, cross = train @ train.T, test @ train.T
-        answer[seen] += cross @ ridge_weights(gram, self.target - self.target.mean())
+        fitted = self._fitted(name)
+        test = np.stack([curve for curve in asked if curve is not None])[:, fitted.columns]
+        answer[seen] += fitted.against((test - fitted.middle) / fitted.scale) @ fitted.weights
         return answer
+
+    def _fitted(self, name: str) -> _Fitted:
+        if name not in self._known:
+            columns = slice(-self.count, None) if name == NAMES[1] else slice(None)
+            train = np.stack(self.curves)[:, columns]
+            middle, scale = train.mean(axis=0), train.std(axis=0)
+            scale[scale < 1e-12] = 1.0
+            train = (train - middle) / scale
+            fitted = _Fitted(columns, middle, scale, train, name == NAMES[3], np.empty(0))
+            weights = ridge_weights(fitted.against(train), self.target - self.target.mean())
+            self._known[name] = replace(fitted, weights=weights)
+        return self._known[name]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A regression that was solved once, for however many presses are asked of it."""
+
+    columns: slice
+    middle: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    train: NDArray[np.float64]
+    curved: bool
+    weights: NDArray[np.float64]
+
+    def against(self, test: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The kernel between standardised presses (A, F) and those learnt from, shape (A, B)."""
+        return _kernel(test, self.train) if self.curved else test @ self.train.T
 
 
 def over_time(curve: Curve, inputs: InputConfig) -> NDArray[np.float64] | None:

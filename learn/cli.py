@@ -98,6 +98,7 @@ def _parser() -> Parser:
         "--cache", type=Path, metavar="DIR", help="averaged pictures of a training (default: cache beside the checkpoint)"
     )
     evaluate.add_argument("--workers", type=int, default=0, metavar="N", help="processes that read presses (default: this one alone)")
+    evaluate.add_argument("--no-baselines", action="store_true", help="leave the baselines out: with many presses they take their time")
     evaluate.add_argument("--force", action="store_true", help="write over an existing result")
     predict = commands.add_parser("predict", help="hardness and its spread from videos, folders of frames, episodes or datasets")
     predict.add_argument("--model", default="default", metavar="CKPT", help="a checkpoint, or the name of a shipped one (default: default)")
@@ -169,7 +170,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     with console.progress_bars() as progress:
         report = evaluate.evaluate(
             model, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
-            workers=options.workers, progress=progress,
+            workers=options.workers, baselines=not options.no_baselines, progress=progress,
         )  # fmt: skip
     print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
     return OK

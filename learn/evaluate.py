@@ -57,6 +57,7 @@ def evaluate(
     device: str = "auto",
     cache: Path | None = None,
     workers: int = 0,
+    baselines: bool = True,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Writes table.md, report.json, predictions.csv and plots into `out`.
@@ -64,6 +65,7 @@ def evaluate(
     Args:
         model: A checkpoint. rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
         cache: Of recordings; None: the run's own, where there is one. workers: Processes that fill it.
+        baselines: Also learn and test those.
     Returns:
         What report.json holds.
     Raises:
@@ -82,7 +84,7 @@ def evaluate(
         cache = model.parent / CACHE
     scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
     try:
-        return _evaluate(dataset, checkpoint, model, out, chosen, device, cache or scratch, workers, progress)
+        return _evaluate(dataset, checkpoint, model, out, chosen, device, cache or scratch, workers, baselines, progress)
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -90,10 +92,10 @@ def evaluate(
 
 def _evaluate(
     dataset: Dataset, checkpoint: Checkpoint, model: Path, out: Path, chosen: Sequence[str], device: str, cache: Path | None, workers: int,
-    progress: Progress | None,
+    baselines: bool, progress: Progress | None,
 ) -> dict[str, Any]:  # fmt: skip
     everything = archive(dataset, [row["index"] for row in dataset.rows], checkpoint.config.input, cache, progress, workers)
-    learnt = _learn_baselines(dataset, everything, checkpoint.config)
+    learnt = _learn_baselines(dataset, everything, checkpoint.config) if baselines else None
     network = checkpoint.build().to(pick_device(device))
     total = sum(len(dataset.splits[name]) for name in chosen)
     found: dict[str, list[dict[str, Any]]] = {}

@@ -215,8 +215,10 @@ def _cached(
     np.savez(partial / "arrays.npz", allow_pickle=False, **arrays)
     assert isinstance(pictures, np.memmap)
     pictures.flush()
-    if not home.exists():
+    try:
         partial.rename(home)
+    except OSError:  # another run was faster
+        shutil.rmtree(partial)
     return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), arrays
 
 

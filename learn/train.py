@@ -47,6 +47,8 @@ CALIBRATION_FEWEST = 8
 """With fewer validation presses the spread is left as the network says it."""
 PREDICTIONS = 9
 """Of which the median time is told."""
+PREDICTION_SECONDS = 5.0
+"""No more of them when they have taken longer."""
 
 
 @dataclass(frozen=True)
@@ -345,6 +347,8 @@ def _prediction_cost(model: Path, presses: list[Press]) -> dict[str, Any] | None
             began = time.perf_counter()
             estimate(network, batches(presses[:1], cpu))
             seconds.append(time.perf_counter() - began)
+            if sum(seconds) > PREDICTION_SECONDS:
+                break
     finally:
         torch.set_num_threads(threads)
     return {"device": "CPU, 2 threads", "milliseconds": round(1e3 * float(np.median(seconds)), 2)}
