@@ -126,7 +126,7 @@ def _parser() -> Parser:
     press.add_argument("--probe", metavar="FILE.csv", help="sample the gel's outer surface at rest points x_mm,y_mm; writes probe.csv")
     for command in (render, press):
         add_scene_flags(command)
-    bench = commands.add_parser("bench", help="what has to be shown of the mechanics: tables and plots", epilog=BENCH_EXAMPLES)
+    bench = commands.add_parser("bench", help="what has to be shown of mechanics and light: tables and plots", epilog=BENCH_EXAMPLES)
     bench.add_argument("--quick", action="store_true", help="fewer cases, none at `reference`: minutes instead of hours")
     bench.add_argument(
         "--only", action="append", choices=tuple(SECTIONS), metavar="SECTION", help=f"of {', '.join(SECTIONS)} (default: all)"

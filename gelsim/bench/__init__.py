@@ -1,4 +1,4 @@
-"""`gelsim bench`: what has to be shown of the mechanics, each by a command, as tables and plots; docs/validation.md is made from them.
+"""`gelsim bench`: what has to be shown of mechanics and light, by a command each: tables and plots, docs/validation.md.
 
 A section is one question; its module makes the cases, measures each and says how its table reads (`section.Section`). `runner` runs the
 cases of any sections, one line of results.jsonl each as soon as it is known, so that a run that was stopped goes on with --resume.
@@ -15,6 +15,7 @@ SECTIONS = {
     "speed": "gelsim.bench.speed",
     "batch": "gelsim.bench.batch",
     "stability": "gelsim.bench.stability",
+    "optics": "gelsim.bench.optics",
     "random": "gelsim.bench.random_scenes",
 }
 """Section, and the module that holds it, in the order they are run and written. Names alone: nothing heavy is imported before it runs."""

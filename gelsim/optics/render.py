@@ -110,12 +110,13 @@ class ScalarRenderer:
 
     def radiance(self, membrane: Membrane, seed: int) -> NDArray[np.float32]:
         """Linear RGB, shape (H, W, 3)."""
-        mesh = _mesh(self._mitsuba, mesh_arrays(membrane, self._scene), self._coating)
+        mesh = membrane_mesh(self._mitsuba, mesh_arrays(membrane, self._scene), self._coating)
         scene = self._mitsuba.load_dict({**self._parts, "membrane": mesh})
         return np.array(self._mitsuba.render(scene, spp=self._spp, seed=seed), np.float32)
 
 
-def _mesh(mi: ModuleType, arrays: dict[str, np.ndarray], coating: object) -> object:
+def membrane_mesh(mi: ModuleType, arrays: dict[str, np.ndarray], coating: object) -> object:
+    """Mitsuba's mesh of `mesh_arrays`, with a BSDF."""
     properties = mi.Properties()
     properties["bsdf"] = coating
     mesh = mi.Mesh(

@@ -48,8 +48,9 @@ POOL_CELLS = 32
 """Along a side of the gel: what the window returns has travelled centimetres, finer detail is lost in it."""
 VERTEX_GATHER_RAYS = 4
 """From a vertex in each round, and one sample on each light: what is gathered from is an average over many vertices."""
-SEEN_GATHER_RAYS = (16, 64)
-"""From a vertex that the camera sees: as many as a pixel has paths, within these."""
+SEEN_GATHER_RAYS = (4, 64)
+PATHS_A_RAY = 4
+"""From a vertex that the camera sees: a ray for every so many paths that end about it, within these."""
 GOLDEN = 0.6180339887
 """Steps of this share of a circle cover it evenly."""
 
@@ -479,8 +480,8 @@ class Tracer:
         lens = make_lens(scene, 1.0, self.values["camera.distance_mm"], self.values["camera.offset_mm"], dr.sqrt)
         received = None
         if indirect and not self.bounces:
-            least, most = SEEN_GATHER_RAYS
-            received = self._received(*self._glow(seed), min(max(self.spp, least), most), (seed, GATHER_ROUNDS), lens)
+            rays = width * height * self.spp // (PATHS_A_RAY * max(dr.width(self._seen), 1))
+            received = self._received(*self._glow(seed), int(np.clip(rays, *SEEN_GATHER_RAYS)), (seed, GATHER_ROUNDS), lens)
             dr.eval(received)
         index = dr.arange(mi.UInt32, width * height * self.spp)
         pixel, path = index // self.spp, index % self.spp
