@@ -169,6 +169,7 @@ def _parser() -> Parser:
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
     dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core)")
+    dataset.add_argument("--ray", metavar="ADDRESS", help="instead of processes here: a Ray cluster, host:port, auto or local")
     dataset.add_argument("--resume", action="store_true", help="go on in an existing folder: episodes that are done are kept")
     dataset.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where the light is drawn (default: cpu)")
     _add_output_flags(dataset, _dataset)
@@ -370,7 +371,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         with progress_bars() as progress:
             report = relight(
                 Path(options.light_of), options.sensor, Path(options.out), seed=options.seed, workers=options.workers,
-                resume=options.resume, device=options.device, progress=progress,
+                ray=options.ray, resume=options.resume, device=options.device, progress=progress,
             )  # fmt: skip
         if not options.json:
             print(generate.summary(report))
@@ -384,6 +385,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
             Path(options.out),
             seed=options.seed,
             workers=options.workers,
+            ray=options.ray,
             resume=options.resume,
             device=options.device,
             progress=progress,

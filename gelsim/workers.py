@@ -1,9 +1,8 @@
-"""Local worker processes: each is handed a few pieces of work at a time, so that it is known which of them ended a worker.
+"""Worker processes, of this machine (`LocalCrew`) or of a cluster (`gelsim.cluster`).
 
-A worker computes on one thread unless it is given more: libraries would otherwise start a thread a core in each of them. Several GPUs are
-given to workers in turn.
-A worker that dies, or takes longer than SECONDS, is replaced and its pieces are listed; a worker whose parent is gone ends itself. Results
-do not depend on which worker made them, nor on how many there are.
+Each is handed a few pieces of work at a time, so that it is known which of them ended it. It computes on one thread unless given more:
+libraries would otherwise start a thread a core in every one. A worker that dies, or takes longer than SECONDS, is replaced and its
+pieces are listed; a process whose parent is gone ends itself. Results do not depend on which worker made them, nor on how many there are.
 """
 
 from __future__ import annotations
@@ -15,8 +14,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from gelsim.errors import GelsimError
 
@@ -37,7 +37,58 @@ T = TypeVar("T")
 Work = Callable[[Handful], T]
 
 
-class _Worker:
+class Died(Exception):
+    """A worker that ended before its handful was done; the message says how."""
+
+
+class Worker(Protocol):
+    """Does one handful at a time."""
+
+    def give(self, handful: Handful) -> None:
+        """Hands over work; returns at once."""
+
+    def take(self) -> Any:
+        """What it made, once it is ready. Raises Died."""
+
+    def end(self) -> None:
+        """Ends it, whatever it is at."""
+
+
+class Crew(Protocol):
+    """Where workers come from."""
+
+    count: int
+
+    def start(self, number: int, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> Worker:
+        """A worker, fresh."""
+        ...
+
+    def ready(self, workers: Sequence[Any], timeout: float) -> Sequence[Worker]:
+        """Those of `workers` that have something to be taken, or died; waits up to `timeout` seconds for the first."""
+        ...
+
+
+class LocalCrew:
+    """Processes of this machine.
+
+    Args:
+        threads: Of each. What is computed may depend on it in the last digits, so it does not follow from `count`.
+        gpus: CUDA devices; each worker sees one of them.
+    """
+
+    def __init__(self, count: int, threads: int = 1, gpus: Sequence[str] = ()) -> None:
+        self.count, self.threads, self.gpus = count, threads, gpus
+
+    def start(self, number: int, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> _Process:
+        gpu = {"CUDA_VISIBLE_DEVICES": self.gpus[number % len(self.gpus)]} if self.gpus else {}
+        return _Process(make, arguments, settings(self.threads) | gpu)
+
+    def ready(self, workers: Sequence[_Process], timeout: float) -> list[_Process]:
+        pipes = wait([worker.pipe for worker in workers], timeout=timeout)
+        return [worker for worker in workers if worker.pipe in pipes]
+
+
+class _Process:
     def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], environment: dict[str, str]) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
@@ -45,16 +96,19 @@ class _Worker:
         with _environment(environment):
             self.process.start()
         other.close()
-        self.handful: Handful | None = None
-        self.since = time.monotonic()
-        self.worked = False
 
     def give(self, handful: Handful) -> None:
-        self.handful, self.since = handful, time.monotonic()
         try:
             self.pipe.send(handful)
         except OSError:
-            pass  # it is dead already; waiting for it will say so
+            pass  # it is dead already; taking from it will say so
+
+    def take(self) -> Any:
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self.process.join(10.0)
+            raise Died(f"its process ended with code {self.process.exitcode}") from None
 
     def end(self) -> None:
         self.process.kill()
@@ -62,73 +116,77 @@ class _Worker:
         self.pipe.close()
 
 
+@dataclass
+class _Place:
+    """One of a crew's, and what it is at."""
+
+    worker: Worker
+    handful: Handful | None = None
+    since: float = 0.0
+    worked: bool = False
+
+    def give(self, handful: Handful) -> None:
+        self.handful, self.since = handful, time.monotonic()
+        self.worker.give(handful)
+
+
 def work_through(
     handfuls: Sequence[Handful],
-    count: int,
+    crew: Crew,
     make: Callable[..., Work[T]],
     arguments: tuple[Any, ...],
     lost: Callable[[Handful, str, str], T],
-    threads: int = 1,
-    gpus: Sequence[str] = (),
 ) -> Iterator[T]:
-    """Lets `count` processes do all handfuls; yields each as it is done, in whatever order.
+    """Lets a crew do all handfuls; yields each as it is done, in whatever order.
 
     Args:
-        make: A function of a module that makes, from `arguments`, what does the work; called once in each process.
-        lost: Says what becomes of a handful (status, message) whose process died or took too long.
-        threads: Of each process. What is computed may depend on it in the last digits, so it does not follow from `count`.
-        gpus: CUDA devices; each worker sees one of them.
+        make: A function of a module that makes, from `arguments`, what does the work; called once in each worker.
+        lost: Says what becomes of a handful (status, message) whose worker died or took too long.
     Raises:
         WorkError: Workers die before they begin.
     """
     left = deque(handfuls)
-
-    def start(number: int) -> _Worker:
-        return _Worker(make, arguments, _settings(threads, gpus[number % len(gpus)] if gpus else None))
-
-    workers = [start(number) for number in range(min(count, len(left)))]
+    places = [_Place(crew.start(number, make, arguments)) for number in range(min(crew.count, len(left)))]
     still_born = 0
     try:
-        for worker in workers:
-            worker.give(left.popleft())
-        while busy := [worker for worker in workers if worker.handful is not None]:
-            ready = wait([worker.pipe for worker in busy], timeout=1.0)
-            for worker in busy:
-                died, late = None, time.monotonic() - worker.since > SECONDS
-                if worker.pipe in ready:
-                    try:
-                        done = worker.pipe.recv()
-                    except (EOFError, OSError):
-                        worker.process.join(10.0)
-                        died = f"its process ended with code {worker.process.exitcode}"
-                    else:
-                        still_born, worker.worked, worker.handful = 0, True, None
-                        yield done
-                elif not late:
+        for place in places:
+            place.give(left.popleft())
+        while busy := [place for place in places if place.handful is not None]:
+            ready = crew.ready([place.worker for place in busy], timeout=1.0)
+            for number, place in enumerate(places):
+                handful, trouble = place.handful, None
+                if handful is None:
                     continue
-                if died or (late and worker.handful is not None):
-                    assert worker.handful is not None
-                    still_born += 0 if worker.worked else 1
+                if place.worker in ready:
+                    try:
+                        done = place.worker.take()
+                    except Died as died:
+                        trouble = "DIED", str(died)
+                    else:
+                        still_born, place.worked, place.handful = 0, True, None
+                        yield done
+                elif time.monotonic() - place.since > SECONDS:
+                    trouble = "TIMEOUT", f"not done after {SECONDS:g} s"
+                else:
+                    continue
+                if trouble:
+                    still_born += 0 if place.worked else 1
                     if still_born >= STARTS:
-                        raise WorkError(
-                            f"{STARTS} worker processes ended before they had done anything; the last: {died or 'took too long'}"
-                        )
-                    worker.end()
-                    yield lost(worker.handful, "DIED" if died else "TIMEOUT", died or f"not done after {SECONDS:g} s")
-                    number = workers.index(worker)
-                    workers[number] = worker = start(number)
-                if left and worker.handful is None:
-                    worker.give(left.popleft())
+                        raise WorkError(f"{STARTS} workers ended before they had done anything; the last: {trouble[1]}")
+                    place.worker.end()
+                    yield lost(handful, *trouble)
+                    places[number] = place = _Place(crew.start(number, make, arguments))
+                if left:
+                    place.give(left.popleft())
     finally:
-        for worker in workers:
-            worker.end()
+        for place in places:
+            place.worker.end()
 
 
-def _settings(threads: int, gpu: str | None) -> dict[str, str]:
+def settings(threads: int) -> dict[str, str]:
+    """Environment of a process that shall compute on so many threads."""
     names = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
-    if threads == 1:
-        names["MKL_THREADING_LAYER"] = "SEQUENTIAL"
-    return names if gpu is None else names | {"CUDA_VISIBLE_DEVICES": gpu}
+    return names | {"MKL_THREADING_LAYER": "SEQUENTIAL"} if threads == 1 else names
 
 
 @contextmanager

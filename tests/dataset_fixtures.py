@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -41,3 +42,12 @@ def put_fields(plan: str, seed: int) -> None:
     for number in range(catalogue.plan.sensors):
         scene = catalogue.sensor_scene(number)
         write_field(bake.field_path(scene), formula_field(scene))
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Digest of every file but the one that holds times."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "seconds.jsonl"
+    }

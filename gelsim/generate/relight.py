@@ -7,7 +7,6 @@ with what the plan draws by episode drawn anew. A light field is measured for ea
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +19,7 @@ from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio
-from gelsim.generate.run import DEVICES, Book, Progress, gpus_of, measure_lights, report_of, sums_of
+from gelsim.generate.run import Book, Progress, crew_of, measure_lights, report_of, sums_of
 from gelsim.randomize import EPISODE, Plan, draw_fields, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
@@ -31,9 +30,18 @@ SEEN = ("camera", "lights", "coating", "markers")
 
 
 def relight(
-    source: Path, sensor: str, out: Path, *, plan: str | None = None, seed: int = 0, workers: int | None = None, resume: bool = False,
-    device: str = "cpu", progress: Progress | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    source: Path,
+    sensor: str,
+    out: Path,
+    *,
+    plan: str | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    ray: str | None = None,
+    resume: bool = False,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
     """Makes a dataset of another sensor's pictures; returns what the command reports.
 
     Args:
@@ -43,8 +51,7 @@ def relight(
     Raises:
         SceneError, DatasetError: as `gelsim.generate.run.generate`.
     """
-    if device not in DEVICES:
-        raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
+    crew = crew_of(workers, device, ray)
     data = load_dataset(source)
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
@@ -67,9 +74,9 @@ def relight(
             ])  # fmt: skip
 
         handfuls = [(position,) for position in todo]
-        count, arguments = workers or os.cpu_count() or 1, (source, sensor, name, seed, out, device)
+        arguments = (source, sensor, name, seed, out, device)
         try:
-            for done in work_through(handfuls, count, make_relighter, arguments, lost, gpus=gpus_of(device)):
+            for done in work_through(handfuls, crew, make_relighter, arguments, lost):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)
@@ -79,7 +86,7 @@ def relight(
             book.write(quietly=True)
             raise
         book.write()
-    return report_of(book, out, len(data), before, workers or os.cpu_count() or 1, time.perf_counter() - start)
+    return report_of(book, out, len(data), before, crew.count, time.perf_counter() - start)
 
 
 def sensor_scene(data: Dataset, position: int, sensor: str) -> Scene:

@@ -22,7 +22,7 @@ from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, is_measured
 from gelsim.randomize import SPLITS, Catalogue, load_plan
 from gelsim.scene import Scene
-from gelsim.workers import Handful, WorkError, work_through
+from gelsim.workers import Crew, Handful, LocalCrew, WorkError, work_through
 
 Progress = Callable[[str, int, int], None]
 
@@ -52,6 +52,7 @@ def generate(
     *,
     seed: int = 0,
     workers: int | None = None,
+    ray: str | None = None,
     resume: bool = False,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -62,6 +63,7 @@ def generate(
         plan: Name of a plan that comes along, or path of a TOML file.
         episodes: How many, counted from index 0; with `resume` it may be more than before.
         workers: Processes; one per core by default.
+        ray: Address of a Ray cluster that works instead of this machine.
         device: Where the light is drawn: "cpu", or "cuda", all of whose devices share the workers.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
@@ -70,11 +72,7 @@ def generate(
     catalogue = Catalogue(load_plan(plan), seed)
     if episodes < 1:
         raise SceneError(f"--episodes {episodes}: expected 1 or more")
-    if workers is not None and not 1 <= workers <= 1024:
-        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
-    if device not in DEVICES:
-        raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
-    count = workers or os.cpu_count() or 1
+    crew = crew_of(workers, device, ray)
     start = time.perf_counter()
     info = _info(catalogue)
     book = Book(out, info, resume)
@@ -98,7 +96,7 @@ def generate(
 
         arguments = (plan, seed, out, todo, device)
         try:
-            for done in work_through(handfuls, count, make_worker, arguments, lost, gpus=gpus_of(device)):
+            for done in work_through(handfuls, crew, make_worker, arguments, lost):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)
@@ -108,7 +106,7 @@ def generate(
             book.write(quietly=True)
             raise
         book.write()
-    return {"plan": catalogue.plan.name, "seed": seed} | report_of(book, out, episodes, before, count, time.perf_counter() - start)
+    return {"plan": catalogue.plan.name, "seed": seed} | report_of(book, out, episodes, before, crew.count, time.perf_counter() - start)
 
 
 def report_of(book: Book, out: Path, episodes: int, before: int, workers: int, seconds: float) -> dict[str, Any]:
@@ -175,6 +173,19 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
         return done
 
     return work
+
+
+def crew_of(workers: int | None, device: str, ray: str | None) -> Crew:
+    """Who works: processes here, or a Ray cluster. Raises SceneError."""
+    if workers is not None and not 1 <= workers <= 1024:
+        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
+    if device not in DEVICES:
+        raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
+    if ray is not None:
+        from gelsim.cluster import RayCrew
+
+        return RayCrew(ray, workers, gpu=device == "cuda")
+    return LocalCrew(workers or os.cpu_count() or 1, gpus=gpus_of(device))
 
 
 def gpus_of(device: str) -> list[str]:

@@ -21,7 +21,7 @@ from gelsim.scene_file import Layer, build_scene
 from gelsim.study import report
 from gelsim.study.definition import Point, Study, case_name
 from gelsim.study.metrics import METRICS
-from gelsim.workers import Handful, work_through
+from gelsim.workers import Handful, LocalCrew, work_through
 
 RESULTS = "results.jsonl"
 DONE = SolveStatus.CONVERGED.name
@@ -126,7 +126,7 @@ def _measured(cases: Sequence[Case], workers: int) -> Iterator[Row]:
         ]
 
     threads = max(1, (os.cpu_count() or 1) // workers)
-    for rows in work_through([(number,) for number in range(len(cases))], workers, _worker, (tuple(cases),), lost, threads):
+    for rows in work_through([(number,) for number in range(len(cases))], LocalCrew(workers, threads), _worker, (tuple(cases),), lost):
         yield from rows
 
 

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of lower layers and of its own package. Siblings of one layer do not import each other.
 LAYERS = [
     {"errors", "units"},
-    {"geometry", "materials", "ledger", "workers", "files"},
+    {"geometry", "materials", "ledger", "workers", "cluster", "files"},
     {"scene", "limits", "results"},
     {"scene_file", "markers", "console", "tables"},
     {"solids", "sizing", "mesh_file"},
@@ -28,6 +28,7 @@ LAYERS = [
 # Pairs within a layer that may: the first uses the second.
 HELPERS = {
     ("scene", "units"),
+    ("cluster", "workers"),
     ("sizing", "solids"),
     ("mesh_file", "solids"),
     ("outputs", "sheet"),
@@ -38,7 +39,7 @@ HELPERS = {
     # The light field is measured on membranes that no press made.
     ("optics", "membrane"),
 }
-HOMES = {"pytetwild": {"meshing"}, "warp": {"fem"}, "mitsuba": {"optics"}, "drjit": {"optics"}, "torch": set()}
+HOMES = {"ray": {"cluster"}, "pytetwild": {"meshing"}, "warp": {"fem"}, "mitsuba": {"optics"}, "drjit": {"optics"}, "torch": set()}
 LEARN_MAY_USE = set().union(*LAYERS[:6])
 
 

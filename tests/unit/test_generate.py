@@ -3,7 +3,6 @@ datasets of a tiny plan: killed, resumed, with one and two workers."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import signal
 import subprocess
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_fixtures import TINY, formula_field, put_fields
+from dataset_fixtures import TINY, contents, formula_field, put_fields
 
 from gelsim import generate as generating
 from gelsim.dataset import load_dataset
@@ -29,7 +28,7 @@ from gelsim.lightfield import write_field
 from gelsim.optics import bake
 from gelsim.randomize import Catalogue, EpisodeDraw, load_plan
 from gelsim.scene_file import build_scene
-from gelsim.workers import WorkError, work_through
+from gelsim.workers import LocalCrew, WorkError, work_through
 
 
 def drawn(**fields: Any) -> EpisodeDraw:
@@ -125,12 +124,12 @@ def lost(handful, status: str, message: str) -> Done:
 
 def test_every_handful_is_done_once():
     handfuls = [(number,) for number in range(9)]
-    done = list(work_through(handfuls, 2, make_echo, (), lost))
+    done = list(work_through(handfuls, LocalCrew(2), make_echo, (), lost))
     assert sorted(item.handful for item in done) == handfuls
 
 
 def test_a_worker_that_dies_is_replaced_and_its_press_listed():
-    done = {item.handful: item for item in work_through([(n,) for n in range(6)], 2, make_dying, (), lost)}
+    done = {item.handful: item for item in work_through([(n,) for n in range(6)], LocalCrew(2), make_dying, (), lost)}
     assert set(done) == {(n,) for n in range(6)}
     assert done[3,].failures == [{"status": "DIED", "message": "its process ended with code 9"}]
     assert all(not item.failures for handful, item in done.items() if handful != (3,))
@@ -139,20 +138,20 @@ def test_a_worker_that_dies_is_replaced_and_its_press_listed():
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_worker_has_the_threads_that_it_was_given(threads: int):
     before = dict(os.environ)
-    (done,) = work_through([(0,)], 2, make_counting, (), lost, threads)
+    (done,) = work_through([(0,)], LocalCrew(2, threads), make_counting, (), lost)
     pools = done.rows[0][0]
     assert pools and set(pools.values()) == {threads}
     assert dict(os.environ) == before
 
 
 def test_gpus_are_given_in_turn():
-    done = work_through([(number,) for number in range(3)], 3, make_seeing, (), lost, gpus=("0", "7"))
+    done = work_through([(number,) for number in range(3)], LocalCrew(3, gpus=("0", "7")), make_seeing, (), lost)
     assert {item.rows[0][0]["sees"] for item in done} <= {"0", "7"}
 
 
 def test_workers_that_never_begin_end_the_run():
-    with pytest.raises(WorkError, match="3 worker processes ended before they had done anything"):
-        list(work_through([(n,) for n in range(9)], 2, make_still_born, (), lost))
+    with pytest.raises(WorkError, match="3 workers ended before they had done anything"):
+        list(work_through([(n,) for n in range(9)], LocalCrew(2), make_still_born, (), lost))
 
 
 # ---- folders ----
@@ -204,15 +203,6 @@ def test_a_press_that_fails_is_listed(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 # ---- whole datasets ----
-
-
-def contents(folder: Path) -> dict[str, str]:
-    """Digest of every file but the one that holds times."""
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "seconds.jsonl"
-    }
 
 
 @pytest.mark.slow
