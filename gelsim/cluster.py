@@ -5,6 +5,7 @@ All nodes need gelsim and Ray in the same versions, and see the folder of the re
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 from collections.abc import Callable, Sequence
@@ -34,7 +35,7 @@ class RayCrew:
         if not ray.is_initialized():
             _knock(address)
             try:
-                ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
             except (ConnectionError, ValueError, RuntimeError) as error:
                 raise SceneError(f"--ray {address}: no cluster answers ({str(error).splitlines()[0]})") from None
         has = ray.cluster_resources()
