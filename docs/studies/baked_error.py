@@ -15,9 +15,12 @@ told by its two halves.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,22 +74,34 @@ def sensor_scene(sensor: str, resolution: tuple[int, int], layer: dict[str, Any]
     return scene.replace(camera=replace(scene.camera, noise_sd=(0.0, 0.0, 0.0)))
 
 
-def surfaces(sensor: str, resolution: tuple[int, int], quick: bool) -> Iterator[tuple[str, Membrane]]:
+def surfaces(sensor: str, resolution: tuple[int, int], quick: bool, workers: int = 1) -> Iterator[tuple[str, Membrane]]:
     """Names and deepest membranes of all dents and presses."""
     scene = sensor_scene(sensor, resolution)
     # The bake judges itself by the first seeds.
     for seed in range(UNSEEN, UNSEEN + (2 if quick else DENTS)):
         yield f"dent {seed}", dented_membrane(scene, seed)
-    for number, layer in enumerate(PRESSES[:2] if quick else PRESSES):
-        scene = sensor_scene(sensor, resolution, layer)
-        name = f"{layer['object']['shape']} {number}"
-        try:
-            yield name, pipeline.membranes(scene, pipeline.press(scene))[-1]
-        except SolveError as error:
-            print(f"{name} is left out: {error}", flush=True)
+    solve = partial(pressed, sensor, resolution)
+    numbers = range(2 if quick else len(PRESSES))
+    if workers < 2:
+        yield from (found for found in map(solve, numbers) if found)
+        return
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        yield from (found for found in pool.map(solve, numbers) if found)
 
 
-def study(sensor: str, resolution: tuple[int, int], device: str, quick: bool, worst: Path | None) -> dict[str, float]:
+def pressed(sensor: str, resolution: tuple[int, int], number: int) -> tuple[str, Membrane] | None:
+    """Name and deepest membrane of a press; None where it was not solved."""
+    layer = PRESSES[number]
+    scene = sensor_scene(sensor, resolution, layer)
+    name = f"{layer['object']['shape']} {number}"
+    try:
+        return name, pipeline.membranes(scene, pipeline.press(scene))[-1]
+    except SolveError as error:
+        print(f"{name} is left out: {error}", flush=True)
+        return None
+
+
+def study(sensor: str, resolution: tuple[int, int], device: str, quick: bool, worst: Path | None, workers: int = 1) -> dict[str, float]:
     variant = choose_variant(device)
     base = sensor_scene(sensor, resolution)
     field = light_field(base, variant)
@@ -95,7 +110,7 @@ def study(sensor: str, resolution: tuple[int, int], device: str, quick: bool, wo
     baked = BakedRenderer(base, field, variant)
     rows, pictures = [], []
     print("| surface | PSNR [dB] | noise of path [dB] | ΔE2000 mean | 99 % | worst levels, 99.9 % |\n|---|---|---|---|---|---|", flush=True)
-    for name, membrane in surfaces(sensor, resolution, quick):
+    for name, membrane in surfaces(sensor, resolution, quick, workers):
         pictures_of = [traced.radiance(membrane, seed).astype(float) for seed in range(1, REFERENCE_PICTURES + 1)]
         halves = [np.mean(pictures_of[first::2], axis=0) for first in (0, 1)]
         true, drawn = develop(base, sum(halves) / 2), develop(base, baked.radiance(membrane))
@@ -179,6 +194,7 @@ if __name__ == "__main__":
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
     parser.add_argument("--batch", type=int, default=0, help="frames a launch; 0: 1 on the CPU, 32 on CUDA")
     parser.add_argument("--worst", type=Path)
+    parser.add_argument("--workers", type=int, default=1, help="processes that solve the presses")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--speed", action="store_true")
     given = parser.parse_args()
@@ -187,4 +203,4 @@ if __name__ == "__main__":
         frames = given.batch or (32 if choose_variant(given.device).name.startswith("cuda") else 1)
         speed(given.sensor, (width, height), given.device, frames)
     else:
-        study(given.sensor, (width, height), given.device, given.quick, given.worst)
+        study(given.sensor, (width, height), given.device, given.quick, given.worst, given.workers)
