@@ -16,7 +16,7 @@ from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import GelsimError, SceneError, SolveStatus
 from gelsim.ledger import Ledger
 from gelsim.tables import write_csv
-from gelsim.workers import Handful, Work, work_through
+from gelsim.workers import Handful, LocalCrew, Work, work_through
 
 RESULTS = "results.jsonl"
 
@@ -80,7 +80,7 @@ def _measured(cases: list[tuple[str, Case]], options: Options, workers: int) -> 
         return {"key": f"{name}/{case.name}", "section": name, "name": case.name, "status": status, "message": message}
 
     names = [(name, case.name) for name, case in cases]
-    yield from work_through([(number,) for number in range(len(cases))], workers, _make_measurer, (names, options), lost)
+    yield from work_through([(number,) for number in range(len(cases))], LocalCrew(workers), _make_measurer, (names, options), lost)
 
 
 def _measure(name: str, case: Case) -> Row:

@@ -184,7 +184,7 @@ def _rows(folder: Path) -> list[dict[str, object]]:
 
 def test_a_worker_bounds_what_it_measures() -> None:
     """A worker may have no children of its own: the random scenes are measured in it, and a failure is a row."""
-    found = list(work_through([(0,), (-1,)], 1, _make_drawer, (), lambda handful, status, message: {"status": status}))
+    found = list(work_through([(0,), (-1,)], LocalCrew(1), _make_drawer, (), lambda handful, status, message: {"status": status}))
     assert [row["status"] for row in found] == ["CONVERGED", "ValueError"]
 
 
