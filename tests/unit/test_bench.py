@@ -16,7 +16,7 @@ from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, rand
 from gelsim.bench.section import Case, Options, Section
 from gelsim.errors import SceneError
 from gelsim.scene_file import build_scene
-from gelsim.workers import Handful, work_through
+from gelsim.workers import Handful, LocalCrew, work_through
 
 
 @pytest.mark.parametrize("name", SECTIONS)
