@@ -9,5 +9,6 @@ STUDIES = {
     "gel-hardness": "gelsim.study.gel_hardness",
     "gel-thickness": "gelsim.study.gel_thickness",
     "light-layout": "gelsim.study.light_layout",
+    "markers": "gelsim.study.marker_layouts",
 }
 """Ready-made study, and the module that holds it. Names alone: nothing heavy is imported before it runs."""

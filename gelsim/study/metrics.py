@@ -120,3 +120,34 @@ def _height_error(trial: Trial) -> float:
     from gelsim.study.photometric import reconstruct
 
     return trial.once(reconstruct).height_error_um
+
+
+# ---- markers (study.marker_force) ----
+
+
+@_metric("marker_normal_error_pct", "error of normal force from markers, RMS [%]")
+def _marker_normal(trial: Trial) -> float:
+    from gelsim.study.marker_force import marker_forces
+
+    return 100 * trial.once(marker_forces).normal_error
+
+
+@_metric("marker_shear_error_pct", "error of shear force from markers, RMS [%]")
+def _marker_shear(trial: Trial) -> float:
+    from gelsim.study.marker_force import marker_forces
+
+    return 100 * trial.once(marker_forces).shear_error
+
+
+@_metric("marker_hidden_pct", "surface that markers hide [%]")
+def _marker_hidden(trial: Trial) -> float:
+    from gelsim.study.marker_force import marker_cost
+
+    return 100 * trial.once(marker_cost).hidden
+
+
+@_metric("marker_fill_error_um", "error of height filled in below markers, RMS [µm]")
+def _marker_fill(trial: Trial) -> float:
+    from gelsim.study.marker_force import marker_cost
+
+    return trial.once(marker_cost).fill_error * 1e6

@@ -35,7 +35,7 @@ class Trial:
 
     def __init__(self, layers: Sequence[Layer], device: str = "auto") -> None:
         self.scene: Scene = build_scene(*layers)
-        self._layers, self._device = tuple(layers), device
+        self._layers, self.device = tuple(layers), device
         self._family: dict[str, Trial] = {}
         self._computed: dict[Any, Any] = {}
 
@@ -43,7 +43,7 @@ class Trial:
         """The same case with other values of some fields, by full name."""
         key = json.dumps(fields, sort_keys=True)
         if key not in self._family:
-            other = Trial((*self._layers, nested(fields)), self._device)
+            other = Trial((*self._layers, nested(fields)), self.device)
             self._family[key] = other
         return self._family[key]
 
@@ -59,7 +59,7 @@ class Trial:
         """Raises SolveError where it did not come to its end."""
         from gelsim import pipeline
 
-        press = pipeline.press(self.scene, device=self._device, throw=False)
+        press = pipeline.press(self.scene, device=self.device, throw=False)
         if press.status is not SolveStatus.CONVERGED:
             raise SolveError(press.message or press.status.value, press)
         return press
@@ -87,7 +87,7 @@ class Trial:
         """Pictures of membranes of the scene's gel."""
         from gelsim import optics
 
-        return list(optics.render_frames(self.scene, membranes, device=self._device))
+        return list(optics.render_frames(self.scene, membranes, device=self.device))
 
     def heights(self, state: int) -> NDArray[np.float64]:
         """Rest height taken from the height of the membrane that each pixel sees, at a recorded state [m], (H, W); NaN beside the gel."""

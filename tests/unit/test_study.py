@@ -56,7 +56,7 @@ def test_ready_made_studies_are_scenes(name: str, quick: bool) -> None:
     study = load_study(name)
     study = Study(**(vars(study) | (dict(study.quick) if quick else {})))
     points = study.points()
-    assert len({str(point) for point in points}) == len(points) <= (6 if quick else 40)
+    assert len({str(point) for point in points}) == len(points) <= (6 if quick else 42)
     for point in points:
         build_scene(study.base, study.layer(point))
     assert all(metric in METRICS for metric in study.metrics)
