@@ -115,11 +115,25 @@ def _normal_error(trial: Trial) -> float:
     return trial.once(reconstruct).normal_error_deg
 
 
+@_metric("steep_normal_error_deg", "error of normals above 30°, mean [°]")
+def _steep_normal_error(trial: Trial) -> float:
+    from gelsim.study.photometric import reconstruct
+
+    return trial.once(reconstruct).steep_normal_error_deg
+
+
 @_metric("height_error_um", "error of recovered height, RMS [µm]")
 def _height_error(trial: Trial) -> float:
     from gelsim.study.photometric import reconstruct
 
     return trial.once(reconstruct).height_error_um
+
+
+@_metric("texture_signal_per_um", "pixel change per µm of texture / noise")
+def _texture_signal(trial: Trial) -> float:
+    from gelsim.study.texture import texture_signal
+
+    return trial.once(texture_signal) * 1e-6
 
 
 # ---- markers (study.marker_force) ----

@@ -32,6 +32,8 @@ RIDGE = 1e-4
 """Of the mean square of a feature: where the colours of two lights are the same, the fit has no answer of its own."""
 TOUCHED = 20e-6
 """A pixel whose surface moved by more [m] is judged."""
+STEEP = np.sin(np.radians(30.0))
+"""Of the normal's sideways part."""
 
 Array = NDArray[np.float64]
 
@@ -42,6 +44,8 @@ class Reconstruction:
 
     normal_error_deg: float
     """Mean angle between recovered and true normal."""
+    steep_normal_error_deg: float
+    """The same where the surface is steeper than STEEP."""
     height_error_um: float
     """Root mean square."""
 
@@ -59,15 +63,18 @@ def reconstruct(trial: Trial) -> Reconstruction:
     descents = [np.nan_to_num(trial.rest.height - frame.height).astype(float) for frame in frames]
     truths = [_normals(descent, pixel) for descent in descents]
     fit = _fitted(np.concatenate(features[:FITTED]), np.concatenate([truth.reshape(-1, 2) for truth in truths[:FITTED]]))
-    angles, heights = [], []
+    angles, steep, heights = [], [], []
     for number in range(FITTED, FITTED + JUDGED):
         found = np.clip(features[number] @ fit, -0.97, 0.97).reshape(truths[number].shape)
         touched = descents[number] > TOUCHED
         angles.append(_angle(found, truths[number])[touched])
+        steep.append((np.linalg.norm(truths[number], axis=-1) > STEEP)[touched])
         upright = np.sqrt(np.clip(1 - (found**2).sum(axis=-1), 0.05, 1))
         height = integrate(-found[..., 0] / upright, -found[..., 1] / upright, pixel)
         heights.append((height + descents[number])[touched])
-    return Reconstruction(float(np.degrees(np.concatenate(angles).mean())), float(np.sqrt((np.concatenate(heights) ** 2).mean()) * 1e6))
+    angle = np.degrees(np.concatenate(angles))
+    walls = angle[np.concatenate(steep)]
+    return Reconstruction(float(angle.mean()), float(walls.mean()), float(np.sqrt((np.concatenate(heights) ** 2).mean()) * 1e6))
 
 
 def _judged(trial: Trial) -> list[Membrane]:

@@ -9,9 +9,13 @@ import pytest
 
 from gelsim.ledger import Row
 from gelsim.materials import modulus_from_shore_00
+from gelsim.membrane import GRID_SPACING
+from gelsim.optics.isp import srgb_tone
 from gelsim.study import runner
 from gelsim.study.definition import load_study, nested
 from gelsim.study.marker_force import press_field
+from gelsim.study.photometric import exposed
+from gelsim.study.texture import WAVELENGTH, texture_signal
 from gelsim.study.trial import Trial
 
 
@@ -98,3 +102,32 @@ def test_markers_tell_the_force_as_a_bonded_layer_does(tmp_path: Path) -> None:
     shear, normal = moved[:, 0].sum() * step**2, ((at - field.middle[1]) * moved[:, :2]).sum() * step**2
     assert modulus / thick * shear == pytest.approx(field.shear[1], rel=0.02)
     assert modulus / thick**2 * normal == pytest.approx(field.normal[1], rel=0.025)
+
+
+@pytest.mark.slow
+def test_a_shiny_coat_shows_texture_and_loses_walls(tmp_path: Path) -> None:
+    matt, shiny = sorted(rows("coating", tmp_path), key=lambda row: row["coating.specular"])
+    # A lobe of slopes of 0.15 answers to a slope more steeply than a cosine under 60°, and is dark where a wall leaves it.
+    assert shiny["texture_signal_per_um"] > 2 * matt["texture_signal_per_um"]
+    assert shiny["steep_normal_error_deg"] > 1.3 * matt["steep_normal_error_deg"]
+
+
+def test_texture_on_a_matt_coat_is_lamberts_cosine() -> None:
+    place = np.array([-25.0, 0.0, -14.0])
+    lamp = {"position_mm": place.tolist(), "direction": (-place).tolist(), "size_mm": [1.0, 1.0], "power": 100.0}
+    base = {"gel": {"profile": "flat"}, "lights": {"lights": [lamp]}, "coating": {"albedo": [0.5] * 3, "specular": 0.0, "grain": 0.0}}
+    sight = {"markers": {"layout": "none"}, "render": {"mode": "direct", "resolution": [160, 120], "spp": 16}}
+    trial = Trial((base, sight, {"camera": {"noise_sd": [2.0, 1.4, 2.5], "shading": []}}), "cpu")
+    width = trial.scene.camera.field_mm[0] / 160
+    x, y = np.meshgrid((np.arange(160) - 79.5) * width, (np.arange(120) - 59.5) * width)
+    # A slope s along the light changes the cosine n·l by a share s tan θ, θ its angle to the normal; the wave's slope has, any way,
+    # k A / 2 as root mean square. The membrane's normals are central differences of step h, which shows sin(k h) / (k h) of it.
+    angle = np.hypot(x - place[0], y - place[1]) / -place[2]
+    k, h = 2 * np.pi / WAVELENGTH, GRID_SPACING
+    contrast = angle * k / 2 * np.sin(k * h) / (k * h)
+    scene = exposed(trial.scene, trial.rest)
+    linear = trial.rest.radiance * scene.camera.exposure * np.array(scene.camera.white_balance)
+    slope = 255 * (srgb_tone(linear * 1.001) - srgb_tone(linear * 0.999)) / 0.002
+    expected = np.sqrt(((slope * contrast[..., None] / np.array([2.0, 1.4, 2.5])) ** 2).sum(axis=-1).mean())
+    # What a pixel of 0.115 mm and straight edges of the grid average out is (k width)² / 24 and (k h)² / 12 of it each way, 4 % together.
+    assert scene.camera.gamma == 1.0 and texture_signal(trial) == pytest.approx(expected * 0.96, rel=0.04)
