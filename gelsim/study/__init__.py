@@ -6,6 +6,7 @@ writes the table, the plot and the page. A new ready-made study is a module with
 """
 
 STUDIES = {
+    "camera": "gelsim.study.cameras",
     "coating": "gelsim.study.coatings",
     "gel-hardness": "gelsim.study.gel_hardness",
     "gel-thickness": "gelsim.study.gel_thickness",

@@ -136,6 +136,19 @@ def _texture_signal(trial: Trial) -> float:
     return trial.once(texture_signal) * 1e-6
 
 
+def _smallest_dent(focused: bool) -> Callable[[Trial], float]:
+    def measure(trial: Trial) -> float:
+        from gelsim.study.visible import DEEP, smallest_dent
+
+        return smallest_dent(trial, 0.0 if focused else DEEP) * 1e6
+
+    return measure
+
+
+METRICS["smallest_dent_um"] = Metric("smallest visible dent [µm]", _smallest_dent(True))
+METRICS["smallest_dent_deep_um"] = Metric("smallest visible dent out of focus [µm]", _smallest_dent(False))
+
+
 # ---- markers (study.marker_force) ----
 
 

@@ -11,12 +11,13 @@ from gelsim.ledger import Row
 from gelsim.materials import modulus_from_shore_00
 from gelsim.membrane import GRID_SPACING
 from gelsim.optics.isp import srgb_tone
-from gelsim.study import runner
+from gelsim.study import runner, visible
 from gelsim.study.definition import load_study, nested
 from gelsim.study.marker_force import press_field
 from gelsim.study.photometric import exposed
 from gelsim.study.texture import WAVELENGTH, texture_signal
 from gelsim.study.trial import Trial
+from gelsim.study.visible import BELL, DEEP, smallest_dent
 
 
 def rows(name: str, out: Path) -> list[Row]:
@@ -131,3 +132,30 @@ def test_texture_on_a_matt_coat_is_lamberts_cosine() -> None:
     expected = np.sqrt(((slope * contrast[..., None] / np.array([2.0, 1.4, 2.5])) ** 2).sum(axis=-1).mean())
     # What a pixel of 0.115 mm and straight edges of the grid average out is (k width)² / 24 and (k h)² / 12 of it each way, 4 % together.
     assert scene.camera.gamma == 1.0 and texture_signal(trial) == pytest.approx(expected * 0.96, rel=0.04)
+
+
+@pytest.mark.slow
+def test_a_camera_sees_less_with_noise_and_large_pixels(tmp_path: Path) -> None:
+    seen = {(row["columns"], row["noise"]): row for row in rows("camera", tmp_path)}
+    for columns in (60, 120):
+        quiet, loud = seen[columns, 1.0], seen[columns, 2.0]
+        assert loud["smallest_dent_um"] == pytest.approx(2 * quiet["smallest_dent_um"], rel=1e-4)
+        assert quiet["smallest_dent_deep_um"] > quiet["smallest_dent_um"]
+    # Four pixels in place of one halve what is seen, and more where a pixel (0.31 mm) averages over the bell's two flanks.
+    assert seen[60, 1.0]["smallest_dent_um"] > 2 * seen[120, 1.0]["smallest_dent_um"]
+
+
+def test_the_smallest_dent_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    y, x = np.mgrid[-60:60, -80:80] * 25e-6
+    # A change that is a bell itself, as of a coat that darkens by depth: all integrals are known.
+    bell = np.exp(-(x**2 + y**2) / (2 * BELL**2))[..., None] * np.array([1e6, 0.0, 0.0])
+    monkeypatch.setattr(visible, "_change", lambda trial: (bell, 25e-6))
+    layers = {"camera": {"noise_sd": [2.0, 1.0, 1.0], "resolution": [960, 720], "field_mm": [18.4, 13.8], "distance_mm": 40.0}}
+    pixel, trial = 18.4e-3 / 960, Trial((layers,), "cpu")
+    # Σ over pixels of bell² is π BELL² / p², and pixels and a disc of diameter c widen the bell by p²/12 and c²/16 each way (variances).
+    for defocus in (0.0, DEEP):
+        wide = BELL**2 + pixel**2 / 12 + (2e-3 * defocus / 40e-3) ** 2 / 16
+        dprime = 1e6 / 2.0 * np.sqrt(np.pi / wide) * BELL**2 / pixel
+        # What is left out of a widened bell is of fourth order, (c / 4 BELL)⁴ = 0.0002.
+        assert smallest_dent(trial, defocus) == pytest.approx(3 / dprime, rel=5e-4)
+    assert smallest_dent(trial, DEEP) > 1.005 * smallest_dent(trial, 0.0)
