@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -20,7 +21,7 @@ from gelsim.console import progress_bars
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.scene import Scene
-from gelsim.scene_file import build_scene, read_layer
+from gelsim.scene_file import build_scene, read_layer, scene_table
 from gelsim.study import STUDIES
 
 OK, INTERNAL, BAD_INPUT, NUMERICS, PARTIAL, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -78,6 +79,13 @@ examples:
   gelsim study mine.toml --resume                        a study of your own: docs/studies.md
 
 Writes index.html (one page with all in it), study.csv, study.png, study.md and results.jsonl (a line a case)."""
+OPTIMISE_EXAMPLES = """\
+examples:
+  gelsim optimise dent_reach_mm --within gel.thickness_mm=1:5 --within gel.shore_00=5:40 --shape hemisphere --rigid --depth-mm 0.5
+  gelsim optimise most:texture_signal_per_um --also steep_normal_error_deg --within coating.specular=0:1 --within coating.roughness=0.1:0.6
+
+Metrics: gelsim study --list. Any field of the scene is a flag, as for render. Writes index.html, study.csv, study.png,
+results.jsonl (a line an evaluation), and sensor.toml and scene.toml of the best."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -94,6 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     with _clean_stdout(wants_json) as answer:
         try:
             options = _parser().parse_all(arguments)
+            options.typed = shlex.join(["gelsim", *arguments])
             result = options.run(options)
             if wants_json:
                 answer(result)
@@ -183,6 +192,22 @@ def _parser() -> Parser:
     study.add_argument("--force", action="store_true", help="begin again in an existing folder")
     study.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
     _add_output_flags(study, _study)
+    optimise = commands.add_parser("optimise", help="the scene that is best by a metric, within bounds", epilog=OPTIMISE_EXAMPLES,
+                                   usage="%(prog)s METRIC --within FIELD=LOW:HIGH [any field of the scene as a flag]")  # fmt: skip
+    optimise.add_argument("goal", metavar="METRIC", help="what should be least; most:METRIC for the most")
+    optimise.add_argument(
+        "--within", action="append", required=True, metavar="FIELD=LOW:HIGH", help="a field to vary; :log for its logarithm"
+    )
+    optimise.add_argument("--also", metavar="METRIC", help="a second metric: shows the front of the two")
+    optimise.add_argument("--scene", metavar="FILE", help="start from a scene file (TOML)")
+    optimise.add_argument("--evaluations", type=int, default=60, metavar="N", help="at most (default: 60); 8 a field are samples")
+    optimise.add_argument("--workers", type=int, default=1, metavar="N", help="processes for the samples (default: 1)")
+    optimise.add_argument("--out", metavar="DIR", help="result folder (default: out/optimise-METRIC)")
+    optimise.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+    optimise.add_argument("--force", action="store_true", help="begin again in an existing folder")
+    optimise.add_argument("--resume", action="store_true", help="go on in an existing folder, also with more evaluations")
+    add_scene_flags(optimise)
+    _add_output_flags(optimise, _optimise)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
@@ -429,6 +454,31 @@ def _study(options: argparse.Namespace) -> dict[str, Any]:
     for item in result["failed"]:
         print(f"gelsim: failed: {item['case']}: {item['message']}", file=sys.stderr)
     return result | ({"exit_code": PARTIAL} if result["failed"] else {})
+
+
+def _optimise(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim.study import optimise
+
+    goals = [optimise.parse_goal(text) for text in (options.goal, options.also) if text]
+    bounds = dict(optimise.parse_bounds(text) for text in options.within)
+    base = scene_table(_scene(options))
+    with progress_bars() as progress:
+        result = optimise.optimise(
+            goals,
+            bounds,
+            base,
+            Path(options.out or f"out/optimise-{goals[0].metric}"),
+            evaluations=options.evaluations,
+            resume=options.resume,
+            force=options.force,
+            workers=options.workers,
+            device=options.device,
+            command=options.typed,
+            progress=progress,
+        )
+    if not options.json:
+        print(f"{result['question']}\n{result['answer']}\n{result['out']}/index.html: {result['cases']} evaluations")
+    return result
 
 
 def _doctor(options: argparse.Namespace) -> dict[str, Any]:

@@ -101,12 +101,13 @@ class Study:
             from scipy.stats import qmc
 
             share = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(self.seed)).random(self.cases)
-            sampled = [{name: _quantile(r, u) for (name, r), u in zip(ranges.items(), line, strict=True)} for line in share.tolist()]
+            sampled = [{name: quantile(r, u) for (name, r), u in zip(ranges.items(), line, strict=True)} for line in share.tolist()]
         corners = [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
         return [{name: (corner | drawn)[name] for name in self.axes} for corner in corners for drawn in sampled]
 
 
-def _quantile(table: Mapping[str, Any], share: float) -> float:
+def quantile(table: Mapping[str, Any], share: float) -> float:
+    """The value of a range below which a share of it lies."""
     low, high = table.get("uniform") or table["log_uniform"]
     if "uniform" in table:
         return float(low + share * (high - low))
@@ -145,7 +146,7 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     for key, kind, words in (("question", str, "a text"), ("metrics", list, "a list of names"), ("fields", dict, "a table")):
         if not isinstance(table.get(key), kind) or not table[key]:
             raise SceneError(f"{where}: {key} = {table.get(key)!r}: expected {words}")
-    axes = {name: _check_axis(f"{where}: fields.{name!r}", name, values) for name, values in table["fields"].items()}
+    axes = {name: check_axis(f"{where}: fields.{name!r}", name, values) for name, values in table["fields"].items()}
     for name in table["metrics"]:
         if name not in METRICS:
             raise SceneError(f"{where}: metrics: {name!r} is none{nearest(str(name), METRICS)}; --list shows them all")
@@ -176,7 +177,8 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     )
 
 
-def _check_axis(where: str, name: str, values: Any) -> Any:
+def check_axis(where: str, name: str, values: Any) -> Any:
+    """The values or the range of a field, or a SceneError."""
     if isinstance(values, dict):
         kind = next(iter(values), "")
         if list(values) != [kind] or kind not in RANGES:

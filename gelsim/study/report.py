@@ -8,7 +8,7 @@ import hashlib
 import html
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +34,16 @@ def fingerprint(scene: Scene, metrics: Sequence[str]) -> str:
     return hashlib.sha256(repr((scene, tuple(metrics))).encode()).hexdigest()[:8]
 
 
-def write(out: Path, study: Study, rows: Sequence[Row], facts: Mapping[str, Any]) -> None:
-    """Writes all four files; `facts` are what `runner.run` returns."""
+def write(
+    out: Path,
+    study: Study,
+    rows: Sequence[Row],
+    facts: Mapping[str, Any],
+    paint: Callable[[Path, Study, Sequence[Row]], None] | None = None,
+) -> None:
+    """Writes all four files; `facts` are what `runner.run` returns; `paint`, or `draw`, makes the picture of the rows that gave numbers."""
     write_csv(out / TABLE, rows, without=("key",))
-    draw(out / PICTURE, study, [row for row in rows if row["status"] == "CONVERGED"])
+    (paint or draw)(out / PICTURE, study, [row for row in rows if row["status"] == "CONVERGED"])
     (out / PAGE).write_text(_page(out, study, rows, facts), encoding="utf-8")
     (out / SHORT).write_text(_short(study, rows, facts), encoding="utf-8")
 

@@ -56,11 +56,11 @@ def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, f
         raise SceneError(f"--workers {workers}: allowed is 1 or more")
     if quick:
         study = dataclasses.replace(study, **study.quick)
-    cases = [_case(study, point, device) for point in study.points()]
+    cases = [case_of(study, point, device) for point in study.points()]
     ledger = Ledger(out / RESULTS, resume=resume, force=force)
     todo = [case for case in cases if ledger.rows.get(case.key, {}).get("status") != DONE]
     done = len(cases) - len(todo)
-    for row in _measured(todo, workers):
+    for row in measured(todo, workers):
         ledger.add(row)
         done += 1
         if progress:
@@ -81,7 +81,12 @@ def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, f
     return facts
 
 
-def _case(study: Study, point: Point, device: str) -> Case:
+def case_of(study: Study, point: Point, device: str) -> Case:
+    """What is to be measured at a point.
+
+    Raises:
+        SceneError: It makes no scene.
+    """
     layers = (study.base, study.layer(point))
     try:
         scene = build_scene(*layers)
@@ -115,7 +120,8 @@ def _load() -> float | None:
     return round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
 
 
-def _measured(cases: Sequence[Case], workers: int) -> Iterator[Row]:
+def measured(cases: Sequence[Case], workers: int) -> Iterator[Row]:
+    """A row of each case, as they finish."""
     if workers == 1:
         yield from map(measure, cases)
         return
