@@ -205,6 +205,34 @@ def test_a_press_that_fails_is_listed(tmp_path: Path, monkeypatch: pytest.Monkey
 # ---- whole datasets ----
 
 
+def run_of(out: Path, episodes: int, workers: int) -> list[str]:
+    """The command that makes the tiny dataset."""
+    given = {"--plan": TINY, "--seed": 3, "--out": out, "--workers": workers, "--episodes": episodes}
+    return [sys.executable, "-m", "gelsim", "dataset", "--resume", *(str(part) for item in given.items() for part in item)]
+
+
+@pytest.mark.slow
+def test_killed_ten_times_at_random_moments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
+    put_fields(TINY, 3)
+    episodes, killed, random = 40, tmp_path / "killed", np.random.default_rng(5)
+    for _ in range(10):
+        had = len(list(killed.rglob("*.tar")))
+        with subprocess.Popen(run_of(killed, episodes, 2), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+            until = time.monotonic() + 60
+            while len(list(killed.rglob("*.tar"))) < min(had + 1, episodes) and time.monotonic() < until:
+                time.sleep(0.005)
+            time.sleep(random.uniform(0.0, 0.5))
+            child.kill()
+        time.sleep(1.0)  # until the workers have noticed
+        for episode in load_dataset(killed):  # each is whole
+            assert len(episode.frames) == len(episode.approach) == episode.row["frames"]
+    assert len(load_dataset(killed)) < episodes  # none of the kills came too late
+    generate(TINY, episodes, killed, seed=3, workers=2, resume=True)
+    generate(TINY, episodes, tmp_path / "whole", seed=3, workers=1)
+    assert contents(killed) == contents(tmp_path / "whole")
+
+
 @pytest.mark.slow
 def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
@@ -214,21 +242,8 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
     assert report["episodes"] == 6 and report["failed"] == 0 and report["exit_code"] == 0 and told[-1] == ("episodes", 6, 6)
     assert "6 of 6 episodes" in generating.summary(report)
 
-    command = [
-        sys.executable,
-        "-m",
-        "gelsim",
-        "dataset",
-        "--plan",
-        TINY,
-        "--seed",
-        "3",
-        "--out",
-        str(tmp_path / "killed"),
-        "--workers",
-        "1",
-    ]
-    with subprocess.Popen([*command, "--episodes", "6"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+    command = run_of(tmp_path / "killed", 6, workers=1)
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
         until = time.monotonic() + 120
         while not list((tmp_path / "killed").rglob("*.tar")) and time.monotonic() < until:
             time.sleep(0.02)
