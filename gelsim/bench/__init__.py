@@ -16,6 +16,7 @@ SECTIONS = {
     "batch": "gelsim.bench.batch",
     "stability": "gelsim.bench.stability",
     "optics": "gelsim.bench.optics",
+    "end-to-end": "gelsim.bench.end_to_end",
     "random": "gelsim.bench.random_scenes",
 }
 """Section, and the module that holds it, in the order they are run and written. Names alone: nothing heavy is imported before it runs."""

@@ -64,7 +64,7 @@ def _place(name: str) -> re.Pattern[str]:
 
 
 def check_page(page: Path, sections: Iterable[str]) -> None:
-    """Raises SceneError where the page cannot take the tables, before minutes went into them."""
+    """Raises SceneError where the page cannot take the tables of these sections, before minutes went into them."""
     if not page.is_file():
         raise SceneError(f"--page {page}: no such file; give a Markdown page that marks the places of the tables")
     text = page.read_text(encoding="utf-8")
@@ -73,6 +73,11 @@ def check_page(page: Path, sections: Iterable[str]) -> None:
             raise SceneError(
                 f"--page {page}: has no place for section {name!r}; allowed: a page with <!-- bench {name} --> and <!-- /bench -->"
             )
+
+
+def places(page: Path) -> list[str]:
+    """The sections that a page has a place for."""
+    return re.findall(r"<!-- bench ([a-z-]+) -->", page.read_text(encoding="utf-8")) if page.is_file() else []
 
 
 def write_page(page: Path, tables: Iterable[Table]) -> None:

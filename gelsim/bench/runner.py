@@ -31,7 +31,7 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     """Measures the cases and writes results.jsonl, one CSV a section, bench.md and plots into `out`.
 
     Args:
-        sections: Their names; None for all.
+        sections: Their names; None for all, or those that `page` has places for.
         limit: Stop after so many cases that were not known before.
         page: A Markdown page whose tables of these sections are replaced.
         workers: Processes that share the cases, each on one thread.
@@ -42,7 +42,8 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     options = options or Options()
     if not 1 <= workers <= 1024:
         raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
-    wanted = [name for name in SECTIONS if sections is None or name in set(sections)]
+    asked = set(sections) if sections is not None else set(report.places(page)) if page is not None else set(SECTIONS)
+    wanted = [name for name in SECTIONS if name in asked]
     if page is not None:
         report.check_page(page, wanted)
     ledger = Ledger(out / RESULTS, resume=resume, force=force)
