@@ -42,7 +42,8 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     options = options or Options()
     if not 1 <= workers <= 1024:
         raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
-    asked = set(sections) if sections is not None else set(report.places(page)) if page is not None else set(SECTIONS)
+    held = report.places(page) if page is not None and sections is None else []
+    asked = set(sections if sections is not None else held or SECTIONS)
     wanted = [name for name in SECTIONS if name in asked]
     if page is not None:
         report.check_page(page, wanted)
