@@ -52,7 +52,7 @@ from gelsim.geometry import (
     winding_numbers,
 )
 from gelsim.inclusions import Inclusion, inclusions
-from gelsim.scene import Body, Scene
+from gelsim.scene import Body, Gel, Scene
 from gelsim.shapes import (
     DRAWN,
     RELIEFS,
@@ -86,9 +86,10 @@ _ALONG = 5.0
 """Twist [degrees] up to which a drawn object still lies along the long sides of tets: turned by it, 3 : 1 becomes 2.9 : 1.1."""
 _ATTEMPTS = ((0.05, 10.0, 20), (0.02, 6.0, 80), (0.1, 6.0, 80))
 """How far fTetWild may move the surface before its vertices are put back, per smallest edge length; its AMIPS energy to stop at (a
-regular tet has 3); the passes it may take. The next is tried when one leaves a bad tet; a smaller envelope costs more tets."""
+regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more tets."""
 
 Progress = Callable[[str], None]
+Image = Callable[[TetMesh], TetMesh]
 Within = tuple[tuple[Inclusion, TriMesh], ...]
 """What lies inside an object, with the facets that fTetWild is given for it."""
 
@@ -119,15 +120,18 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Pro
     vertices, faces, _ = solid_surface(block, np.inf, np.inf)
     fences = _fences(rims, field.rim, area)
     surface = TriMesh(np.vstack([vertices, fences.vertices]), np.vstack([faces, fences.faces + len(vertices)]).astype(np.int32))
-    mesh = _cached_fill(surface, block, field, area.stretch, "the gel", progress)
-    nodes = mesh.rest_positions.copy()
-    share = (nodes[:, 2] + thickness) / thickness
-    nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(scene.gel, nodes[:, :2])) - thickness)
-    mesh = TetMesh(_unfolded(nodes, mesh.tets, 1.0), mesh.tets, mesh.groups, mesh.symmetry)
-    _check(mesh, "the gel")
+    mesh = _cached_fill(surface, block, field, area.stretch, "the gel", progress, image=lambda flat: _domed(scene.gel, flat))
     for axis, side in zip("xy", area.side, strict=True):
         mesh = flip(mesh, axis) if side < 0 else mesh
     return _mirrored(mesh, symmetry)
+
+
+def _domed(gel: Gel, block: TetMesh) -> TetMesh:
+    """The flat block under the gel's outer face."""
+    thickness, nodes = gel.thickness_mm * MM, block.rest_positions.copy()
+    share = (nodes[:, 2] + thickness) / thickness
+    nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(gel, nodes[:, :2])) - thickness)
+    return TetMesh(_unfolded(nodes, block.tets, 1.0), block.tets, block.groups, block.symmetry)
 
 
 def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None) -> TetMesh:
@@ -292,8 +296,11 @@ def _mirrored(mesh: TetMesh, symmetry: frozenset[str]) -> TetMesh:
 
 
 # ---------------------------------------------------------------------------------------------------------------- filling
-def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, within: Within = ()) -> TetMesh:
-    """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
+def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, within: Within = (),
+          image: Image | None = None) -> TetMesh:  # fmt: skip
+    """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come).
+
+    They are such that none folds under `image`: a long flat tet of good quality may, where that bends it."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
     smallest = min(field.contact, field.rim)
@@ -302,6 +309,7 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
         inside = TriMesh(
             np.vstack([inside.vertices, inner.vertices * squeeze]), np.vstack([inside.faces, inner.faces + len(inside.vertices)])
         )
+    fault = ""
     for attempt in _ATTEMPTS:
         vertices, tets = _tetwild(inside, narrow, attempt, label)
         vertices = vertices / squeeze
@@ -311,13 +319,22 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
         near = 2 * stretch * (attempt[0] * smallest + _CHORD * field(vertices))
         vertices, faces, patch = _snapped(vertices, tets, regions, shape, within, near)
         quality = tet_quality(vertices * squeeze, tets)
-        if quality.min() > _WORST_QUALITY:
-            break
-    else:
-        raise MeshingError(
-            f"filling {label} with tetrahedra left one of quality {quality.min():.3g}; allowed: above {_WORST_QUALITY:g}; "
-            "try another fidelity, or a surface without sliver faces and gaps below 0.05 mm"
-        )
+        if quality.min() <= _WORST_QUALITY:
+            fault = f"one of quality {quality.min():.3g}; allowed: above {_WORST_QUALITY:g}"
+            continue
+        mesh = _ten_node(vertices, tets, regions, shape, within, faces, patch, label)
+        smallest = _smallest_jacobian(mesh, image)
+        if smallest > 0.0:
+            return mesh
+        fault = f"a folded one (smallest Jacobian {smallest / MM**3:.3g} mm³)"
+    raise MeshingError(
+        f"filling {label} with tetrahedra left {fault}; try another fidelity, or a surface without sliver faces and gaps below 0.05 mm"
+    )
+
+
+def _ten_node(vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32], shape: Solid | None, within: Within,
+              faces: NDArray[np.int32], patch: NDArray[np.int64], label: str) -> TetMesh:  # fmt: skip
+    """The filling with mid-side nodes on the exact shape, and its groups; `faces` and `patch` as `_snapped` gives them."""
     nodes, tets10 = quadratic_tets(vertices, tets)
     boundary = outer_faces(tets10)
     if shape is None:
@@ -326,6 +343,12 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
     roles = np.array(shape.roles)[patch[: len(boundary)]]
     groups = {role: boundary[roles == role] for role in sorted(set(shape.roles) - set(AXES))}
     return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES), regions)
+
+
+def _smallest_jacobian(mesh: TetMesh, image: Image | None) -> float:
+    """Of a filling as it will be used [m³]; a tet folds where it is not positive."""
+    used = image(mesh) if image else mesh
+    return float(jacobian_determinants(used.rest_positions, used.tets).min())
 
 
 def _regions(vertices: Array, tets: NDArray[np.int32], within: Within) -> NDArray[np.int32]:
@@ -458,13 +481,6 @@ def _mesh_groups(nodes: Array, boundary: NDArray[np.int32], label: str) -> dict[
     return {"base": boundary[base], "contact": boundary[~base]}
 
 
-def _check(mesh: TetMesh, label: str) -> None:
-    determinants = jacobian_determinants(mesh.rest_positions, mesh.tets)
-    if determinants.min() <= 0.0:
-        worst = determinants.min() / MM**3
-        raise MeshingError(f"meshing {label} left a folded tetrahedron (smallest Jacobian {worst:.3g} mm³); try another fidelity")
-
-
 # ---------------------------------------------------------------------------------------------------------------- cache
 def cache_folder() -> Path:
     """$GELSIM_CACHE, or the user's cache folder; never inside the repository."""
@@ -474,19 +490,19 @@ def cache_folder() -> Path:
 
 
 def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, progress: Progress | None,
-                 within: Within = ()) -> TetMesh:  # fmt: skip
+                 within: Within = (), image: Image | None = None) -> TetMesh:  # fmt: skip
+    """`_fill` from the cache, under `image`, which it does not depend on: a filling made for one that folds under another is made anew."""
     key = _key(surface, shape, field, stretch, within)
     path = cache_folder() / f"{key}.npz"
     mesh = _read(path)
-    if mesh is None:
+    if mesh is None or _smallest_jacobian(mesh, image) <= 0.0:
         (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
-        mesh = _fill(surface, shape, field, stretch, label, within)
-        _check(mesh, label)
+        mesh = _fill(surface, shape, field, stretch, label, within, image)
         try:
             _write(path, mesh)
         except OSError as error:  # a full or read-only cache costs time, not the result
             (progress or _say)(f"the mesh of {label} is not kept: {path.parent} cannot be written ({error.strerror})")
-    return mesh
+    return image(mesh) if image else mesh
 
 
 def _say(line: str) -> None:

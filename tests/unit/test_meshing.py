@@ -323,6 +323,43 @@ def test_what_cannot_be_filled_says_so() -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_fold_under_the_dome_is_filled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """fTetWild fills the flat block, and what it fills well may fold where the dome bends it: such a filling is a failed attempt."""
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path))
+    tetwild, domed, filled = meshing._tetwild, meshing._domed, []
+    found: list[np.ndarray] = []
+    folded = 1  # so many fillings fold
+
+    def counted(*given: object) -> object:
+        filled.append(given[2])
+        if not found:
+            found.extend(tetwild(*given))  # type: ignore[arg-type]
+        return [a.copy() for a in found]
+
+    def folding(gel: Gel, flat: TetMesh) -> TetMesh:
+        mesh = domed(gel, flat)
+        if len(filled) <= folded:  # the planted fold: an inner vertex beyond its neighbours
+            inner = np.setdiff1d(mesh.tets[:, :4], outer_faces(mesh.tets))[0]
+            mesh.rest_positions[inner, 0] += 5e-3
+        return mesh
+
+    monkeypatch.setattr(meshing, "_tetwild", counted)
+    monkeypatch.setattr(meshing, "_domed", folding)
+    assert_whole(mesh_gel(scene("hemisphere"), frozenset("xy"), QUIET))
+    assert filled == list(meshing._ATTEMPTS[:2])
+    # kept, and whole under one dome, it may fold under another: then it is filled anew as well
+    filled.clear()
+    folded = 0
+    told: list[str] = []
+    assert_whole(mesh_gel(scene("hemisphere"), frozenset("xy"), told.append))
+    assert filled == [meshing._ATTEMPTS[0]] and len(told) == 1
+    filled.clear()
+    folded = 9
+    with pytest.raises(MeshingError, match=r"filling the gel.*folded one \(smallest Jacobian -.*try another fidelity"):
+        mesh_gel(scene("hemisphere"), frozenset("xy"), QUIET)
+    assert filled == list(meshing._ATTEMPTS)
+
+
 def test_the_gel_has_edges_along_a_rim() -> None:
     """A punch's rim: no face of the gel straddles it."""
     punch = Body(shape="punch", radius_mm=3.0, rigid=True)
