@@ -76,7 +76,7 @@ STUDY_EXAMPLES = """\
 examples:
   gelsim study --list                                    the ready-made studies, and what can be measured
   gelsim study gel-hardness --out out/gel-hardness --workers 2
-  gelsim study mine.toml --resume                        a study of your own: docs/studies.md
+  gelsim study mine.toml --resume                        a study of your own: docs/extending.md
 
 Writes index.html (one page with all in it), study.csv, study.png, study.md and results.jsonl (a line a case)."""
 OPTIMISE_EXAMPLES = """\
@@ -196,7 +196,7 @@ def _parser() -> Parser:
                                    usage="%(prog)s METRIC --within FIELD=LOW:HIGH [any field of the scene as a flag]")  # fmt: skip
     optimise.add_argument("goal", metavar="METRIC", help="what should be least; most:METRIC for the most")
     optimise.add_argument(
-        "--within", action="append", required=True, metavar="FIELD=LOW:HIGH", help="a field to vary; :log for its logarithm"
+        "--within", action="append", required=True, metavar="FIELD=LOW:HIGH", help="a number to vary; :log for its logarithm"
     )
     optimise.add_argument("--also", metavar="METRIC", help="a second metric: shows the front of the two")
     optimise.add_argument("--scene", metavar="FILE", help="start from a scene file (TOML)")

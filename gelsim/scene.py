@@ -268,9 +268,14 @@ class Light:
 @dataclass(frozen=True)
 class Lights:
     lights: tuple[Light, ...] = ()
+    """Every light as a table of name, position_mm, direction, size_mm, rgb, power, …: docs/extending.md. Given here they replace all of the
+    preset's."""
     window_thickness_mm: float = 4.0
+    """Of the rigid plate behind the gel."""
     window_ior: float = 1.49
+    """Refractive index of the window."""
     gel_ior: float = 1.41
+    """Refractive index of the gel."""
     window_reflection: bool = False
     """True: the window's face to the air throws light back (Fresnel; all of it beyond 42 degrees), that of the lights and of the coat."""
 
@@ -553,7 +558,10 @@ def _check_optics(scene: Scene) -> None:
         if (light.peak_nm is None) != (light.width_nm is None):
             raise SceneError(f"lights.lights {light.name!r}: an LED's spectrum has a peak_nm and a width_nm; give both or neither")
         if light.position_mm[2] >= 0:
-            raise SceneError(f"lights.lights {light.name!r}: position_mm has z = {light.position_mm[2]:g} mm; inside is below 0")
+            raise SceneError(
+                f"lights.lights {light.name!r}: position_mm has z = {light.position_mm[2]:g} mm; "
+                "the gel's outer face is z = 0, lights stand below it"
+            )
         if light.direction == (0.0, 0.0, 0.0):
             raise SceneError(f"lights.lights {light.name!r}: direction = 0 0 0 points nowhere; give any other")
     inside = scene.lights.window_thickness_mm + scene.gel.thickness_mm

@@ -149,6 +149,10 @@ def _preset_layer(preset: object) -> Layer:
     return layer
 
 
+_INSIDE = {"lights": "; each light is a [[lights.lights]]", "sensor": '; its field is preset = "NAME or FILE.toml"'}
+"""What was probably meant where a section is not a table."""
+
+
 def _check_layer(layer: Layer, sections: Iterable[str] | None = None) -> None:
     """Unknown keys and two hardnesses at once: what can only be seen layer by layer."""
     for key, value in layer.items():
@@ -159,7 +163,8 @@ def _check_layer(layer: Layer, sections: Iterable[str] | None = None) -> None:
         if not dataclasses.is_dataclass(kind):
             continue
         if not isinstance(value, dict):
-            raise SceneError(f"{key} = {value!r}: expected a table, [{key}]")
+            shown = "[…]" if isinstance(value, list) else repr(value)
+            raise SceneError(f"{key} = {shown}: expected a table, [{key}]{_INSIDE.get(key, '')}")
         for name in value:
             known_key(name, kind, key)  # type: ignore[arg-type]
         given = [name for name in STIFFNESS if name in value]

@@ -146,7 +146,7 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     for key, kind, words in (("question", str, "a text"), ("metrics", list, "a list of names"), ("fields", dict, "a table")):
         if not isinstance(table.get(key), kind) or not table[key]:
             raise SceneError(f"{where}: {key} = {table.get(key)!r}: expected {words}")
-    axes = {name: check_axis(f"{where}: fields.{name!r}", name, values) for name, values in table["fields"].items()}
+    axes = {name: check_axis(f"{where}: fields", name, values) for name, values in table["fields"].items()}
     for name in table["metrics"]:
         if name not in METRICS:
             raise SceneError(f"{where}: metrics: {name!r} is none{nearest(str(name), METRICS)}; --list shows them all")
@@ -178,15 +178,21 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
 
 
 def check_axis(where: str, name: str, values: Any) -> Any:
-    """The values or the range of a field, or a SceneError."""
+    """The values or the range of a field, or a SceneError; `where` is what holds the field."""
+    table, where = where, f"{where}.{name!r}"
+    if name.startswith("lights.lights"):
+        raise SceneError(
+            f"{where}: single lights are not varied; give each layout a sensor file and list them: "
+            '"sensor.preset" = ["a.toml", "b.toml"] of gelsim study (docs/extending.md)'
+        )
     if isinstance(values, dict):
         kind = next(iter(values), "")
         if list(values) != [kind] or kind not in RANGES:
             raise SceneError(f"{where}: expected a list of values, or a range: {' or '.join(f'{{{r} = [a, b]}}' for r in RANGES)}")
-        check_fields({name: values}, where)
+        check_fields({name: values}, table)
         return values
     if not isinstance(values, list) or not values:
         raise SceneError(f"{where} = {values!r}: expected a list of values, or a range")
     for value in values:
-        check_fields({name: {"choice": [value]}}, where)
+        check_fields({name: {"choice": [value]}}, table)
     return values

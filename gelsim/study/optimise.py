@@ -89,7 +89,7 @@ def parse_bounds(text: str) -> tuple[str, dict[str, list[float]]]:
     if scale not in ("", "log") or not ends or not ends[0] < ends[1] or (scale and ends[0] <= 0):
         raise SceneError(f"--within {text!r}: expected FIELD=LOW:HIGH, such as gel.thickness_mm=1:5, or FIELD=LOW:HIGH:log above 0")
     axis = {"log_uniform" if scale else "uniform": ends}
-    return name, check_axis(f"--within {name}", name, axis)
+    return name, check_axis("--within", name, axis)
 
 
 def optimise(goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out: Path, *, evaluations: int = 60, resume: bool = False,
