@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 CONTACT_POINTS = (6, 12)
 """Quadrature points on a face of the gel: as always, and where that failed."""
+STICK = 10.0
+"""μ that stands for sticking where that failed: without any bound a point that lifts off drops its whole traction at once, and where a
+step's solution lies on that jump Newton finds none."""
 
 
 def quiet_warp() -> None:
@@ -45,9 +49,10 @@ def solve_press(
     progress: Callable[[int, int], None] | None = None,
     throw: bool = True,
 ) -> Deformation:
-    """Solves a press; one that fails is tried once more with twice the contact points, and the one that got further is returned.
+    """Solves a press; one that fails is tried once more, and the one that got further is returned.
 
-    More points see more of how a soft edge bends between them; on smooth bodies they cost time and change nothing.
+    The second time it has twice the contact points, and what sticks slides at a friction of `STICK`; its info says so. More points see more
+    of how a soft edge bends between them; on smooth bodies they cost time and change nothing.
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -67,10 +72,11 @@ def solve_press(
     name = "cuda:0" if device == "cuda" else "cpu"
     best: Deformation | None = None
     for points in CONTACT_POINTS:
-        bodies = scene, gel, body, placement, gel_material, object_material, name
+        tried = _tried(scene, points)
+        bodies = tried, gel, body, placement, gel_material, object_material, name
         problem = PressProblem(*bodies, part_materials=part_materials, contact_points=points)
         press = run_press(problem, progress=progress, throw=False)
-        press.info["contact_points"] = points
+        _note(press, scene, points)
         best = _further(best, press)
         if press.status is SolveStatus.CONVERGED:
             break
@@ -78,6 +84,21 @@ def solve_press(
     if throw and best.status is not SolveStatus.CONVERGED:
         raise SolveError(best.message, best)
     return best
+
+
+def _tried(scene: Scene, points: int) -> Scene:
+    """The scene of a try with so many contact points."""
+    if points == CONTACT_POINTS[0] or scene.contact.friction_coefficient != "stick":
+        return scene
+    return scene.replace(contact=replace(scene.contact, friction_coefficient=STICK))
+
+
+def _note(press: Deformation, scene: Scene, points: int) -> None:
+    """Tells in a press's info which try it is."""
+    press.info["contact_points"] = points
+    if _tried(scene, points) is not scene:
+        told = f"sticking did not converge without a bound: solved with a friction coefficient of {STICK:g} instead"
+        press.info["warnings"] = [*press.info.get("warnings", []), told]  # type: ignore[misc]
 
 
 def _further(before: Deformation | None, press: Deformation) -> Deformation:
@@ -120,13 +141,13 @@ def solve_batch(
             scene, gel, body, placement = bodies[number]
             of_object = list(object_materials(scene).values())
             first = of_object[0] if of_object else None
-            of_all = scene, gel, body, placement, gel_material(scene), first, device
+            of_all = _tried(scene, points), gel, body, placement, gel_material(scene), first, device
             problems.append(PressProblem(*of_all, part_materials=of_object[1:], contact_points=points))
         if costs is not None:
             costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
         told = None if progress is None else partial(_told, progress, before, len(bodies))
         for number, press in zip(failed, run_batch(problems, progress=told, costs=costs), strict=True):
-            press.info["contact_points"] = points
+            _note(press, bodies[number][0], points)
             best[number] = _further(best.get(number), press)
         failed = [number for number in failed if best[number].status is not SolveStatus.CONVERGED]
         if not failed:

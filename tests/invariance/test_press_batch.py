@@ -77,19 +77,22 @@ def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.
     asked = []
 
     def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
-        asked.append([(problem.contact.points, problem.law.stiffness) for problem in problems])
+        asked.append([(problem.contact.points, problem.law.stiffness, problem.law.friction) for problem in problems])
         progress(len(problems), len(problems))
         stopped = [len(asked) == 1 and number == 1 for number in range(len(problems))]
         return [replace(solved, status=SolveStatus.MAX_ITERATIONS if stop else solved.status, info={}) for stop in stopped]
 
-    scenes, told = [scene(100.0), scene(45.0), scene(400.0)], []
+    scenes, told = [scene(100.0), scene(45.0, friction="stick"), scene(400.0)], []
     solved = alone(scenes[0])
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
     bodies = [(one, *pipeline.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
-    assert [[points for points, _ in tries] for tries in asked] == [[6, 6, 6], [12]]
+    assert [[points for points, *_ in tries] for tries in asked] == [[6, 6, 6], [12]]
     assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
     assert [press.info["contact_points"] for press in presses] == [6, 12, 6]
+    # what sticks slides at a large friction then, and says so
+    assert (asked[0][1][2], asked[1][0][2]) == (-1.0, 10.0)
+    assert ["friction coefficient of 10" in str(press.info.get("warnings")) for press in presses] == [False, True, False]
     assert all(press.status is SolveStatus.CONVERGED for press in presses)
     assert told == [(3, 3), (3, 3)]
 
