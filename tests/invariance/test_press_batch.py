@@ -24,6 +24,9 @@ from gelsim.scene_file import build_scene
 SAME = 1e-3
 # The multipliers come from a rough solve, which ends elsewhere; a step may leave OVERLAP_MM = 5 µm either way. Found: 2.4 µm.
 SAME_PLACE = 5e-6
+# What sticks jumps where a point at the contact's edge just touches or just does not: single nodes there may be anywhere between (6.6 µm
+# seen, on one mesh of many), the surface as a whole not. Found: 0.33 µm and less.
+SAME_SURFACE = 1e-6
 
 
 def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene:
@@ -54,9 +57,13 @@ def test_neighbours_do_not_matter() -> None:
         assert press.approach == pytest.approx(single.approach, rel=5e-3)  # a force is met within FORCE_TOLERANCE, 2e-3
         if one.press.force_n is None:
             assert np.abs(press.force - single.force).max() < SAME * scale
-            assert np.abs(press.gel.displacement - single.gel.displacement).max() < SAME_PLACE
+            apart = np.linalg.norm(press.gel.displacement - single.gel.displacement, axis=2)
+            assert np.sqrt(np.mean(apart[-1] ** 2)) < SAME_SURFACE
+            assert one.contact.friction_coefficient == "stick" or apart.max() < SAME_PLACE
     assert together[4].force[-1, 2] == pytest.approx(-0.05, rel=4e-3)
     # planted: the presses do differ from each other by far more
+    other = np.linalg.norm(together[0].gel.displacement[-1] - together[3].gel.displacement[-1], axis=1)
+    assert np.sqrt(np.mean(other**2)) > 5 * SAME_SURFACE
     assert np.abs(together[0].force - together[1].force).max() > 0.1 * np.abs(together[1].force).max()
 
 
