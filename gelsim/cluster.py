@@ -32,8 +32,8 @@ class RayCrew:
         except ImportError:
             raise SceneError("--ray: Ray is not installed (pip install gelsim[ray])") from None
         self._ray = ray
+        _knock(address)
         if not ray.is_initialized():
-            _knock(address)
             try:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
             except (ConnectionError, ValueError, RuntimeError) as error:

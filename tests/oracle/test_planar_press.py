@@ -120,9 +120,11 @@ def test_profile_against_the_quarter_of_a_square(body: Body) -> None:
 
     found = LinearNDInterpolator(profile.gel.rest[:, :2], profile.gel.displacement[-1])(solid.gel.rest[:, :2] * (1 - 1e-6))
     difference = np.linalg.norm(found - solid.gel.displacement[-1], axis=1) * 1e6
-    # what both say of themselves: 2.9 + 0.8 µm (found: 2.2), under the cone's tip 9.0 + 1.4 (5.3)
+    # What both say of themselves: 2.9 + 0.8 µm (found: 2.2); under the cone's tip 9.2 + 1.4 (5.3), on another filling 23.2 + 1.4 (4.6), for
+    # kinks at a tip do not shrink with the edges. On the safe side, and of use: ten times the error would not be.
     estimates = [press.info["error_estimate"]["membrane_um"] for press in (profile, solid)]  # type: ignore[index]
-    assert np.sqrt(np.mean(difference**2)) < sum(estimates) < 12.0
+    rms = np.sqrt(np.mean(difference**2))
+    assert rms < sum(estimates) < 10.0 * rms and rms < 8.0
 
 
 @pytest.mark.slow
