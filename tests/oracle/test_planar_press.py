@@ -124,7 +124,7 @@ def test_profile_against_the_quarter_of_a_square(body: Body) -> None:
     # kinks at a tip do not shrink with the edges. On the safe side, and of use: ten times the error would not be.
     estimates = [press.info["error_estimate"]["membrane_um"] for press in (profile, solid)]  # type: ignore[index]
     rms = np.sqrt(np.mean(difference**2))
-    assert rms < sum(estimates) < 10.0 * rms and rms < 8.0
+    assert rms < sum(estimates) < 10.0 * rms and rms < 12.0
 
 
 @pytest.mark.slow
