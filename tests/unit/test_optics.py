@@ -162,8 +162,8 @@ def test_markers_are_drawn_where_projection_says(choice, mode):
     errors = centroid_errors(expected, marked, plain)
     assert len(errors) >= 6
     # Demanded: 0.05 px. Expected: same random numbers in both pictures, so what remains is the edge's sampling, 20 edge pixels with a
-    # coverage error of about 0.5/16 each at 3 px: sqrt(20) 0.03 * 3 / 32 = 0.01 px. The scalar variant's first picture in a process has other
-    # random numbers than the next: with 16 paths 0.02 to 0.052 px were seen.
+    # coverage error of about 0.5/16 each at 3 px: sqrt(20) 0.03 * 3 / 32 = 0.01 px. The scalar variant's first picture in a process has
+    # other random numbers than the next: with 16 paths 0.02 to 0.052 px were seen.
     assert errors.max() < 0.05
     # Planted: one marker painted over.
     column, row = np.rint(expected).astype(int).T
