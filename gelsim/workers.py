@@ -93,7 +93,7 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid()), daemon=True)
-        with _environment(environment):
+        with in_environment(environment):
             self.process.start()
         other.close()
 
@@ -190,7 +190,7 @@ def settings(threads: int) -> dict[str, str]:
 
 
 @contextmanager
-def _environment(names: dict[str, str]) -> Iterator[None]:
+def in_environment(names: dict[str, str]) -> Iterator[None]:
     """A process that is started in here finds these in its environment, before any library looks for them."""
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(names)

@@ -6,7 +6,6 @@ Simulated and real presses lie in one schema (`gelsim.dataset`) and differ here 
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import itertools
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from gelsim.dataset import Dataset, load_dataset
 from gelsim.errors import DatasetError
 from gelsim.results import Episode
+from gelsim.workers import in_environment, settings
 from learn.config import InputConfig
 from learn.features import NAMES, press_features
 from learn.frames import FIXED_POINT, averaged_pixels, change_signal, fit_picture, levels_of
@@ -36,7 +36,6 @@ CACHE = "cache"
 _CACHE_VERSION = 2
 _AT_ONCE = 16
 """Episodes that a process reads before it reports."""
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Progress = Callable[[str, int, int], None]
 
 
@@ -210,7 +209,8 @@ def _cached(
     else:
         # Fresh processes: they load neither torch nor what this one has in memory.
         spawned = multiprocessing.get_context("spawn")
-        with _one_thread(), ProcessPoolExecutor(min(workers, len(firsts)), spawned, _open_worker, (dataset.folder, inputs, target)) as pool:
+        pool = ProcessPoolExecutor(min(workers, len(firsts)), spawned, _open_worker, (dataset.folder, inputs, target))
+        with in_environment(settings(1)), pool:  # they leave the other cores to each other
             arrays = _join(told(pool.map(_work, firsts)))
     np.savez(partial / "arrays.npz", allow_pickle=False, **arrays)
     assert isinstance(pictures, np.memmap)
@@ -262,18 +262,3 @@ def _open_worker(folder: Path, inputs: InputConfig, target: Path) -> None:
 
 def _work(first: int) -> dict[str, NDArray[Any]]:
     return _worker(first)
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes that start meanwhile leave the other cores to each other."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

@@ -38,6 +38,7 @@ from gelsim.optics.render import Renderer
 from gelsim.results import Membrane
 from gelsim.scene import Render, Scene
 from gelsim.scene_file import build_scene
+from gelsim.workers import in_environment, settings
 
 REFERENCE_SPP, REFERENCE_PICTURES = 16, 8
 PRESSES: list[dict[str, Any]] = [
@@ -85,8 +86,9 @@ def surfaces(sensor: str, resolution: tuple[int, int], quick: bool, workers: int
     if workers < 2:
         yield from (found for found in map(solve, numbers) if found)
         return
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        yield from (found for found in pool.map(solve, numbers) if found)
+    with in_environment(settings(1)), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        solved = list(pool.map(solve, numbers))
+    yield from (found for found in solved if found)
 
 
 def pressed(sensor: str, resolution: tuple[int, int], number: int) -> tuple[str, Membrane] | None:

@@ -11,7 +11,6 @@ distance from it. The force is the finest mesh's.
 from __future__ import annotations
 
 import csv
-import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -26,10 +25,10 @@ from gelsim.fem.planar.problem import PlanarProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.profiles import mesh_profiles
 from gelsim.scene_file import assets_folder, build_scene
+from gelsim.workers import in_environment, settings
 
 Array = NDArray[np.float64]
 
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_THREADING_LAYER": "SEQUENTIAL"}
 FINER = (5.0, 6.5, 8.0)
 DISC = 12.5e-3
 
@@ -48,8 +47,7 @@ def solve(nu: float, modulus: float | None, finer: float) -> tuple[Array, Array,
 
 def write(processes: int) -> None:
     cases = [(nu, modulus) for nu in (0.49, 0.499) for modulus in (None, 50.0, 200.0)]
-    os.environ.update(ONE_THREAD)
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+    with in_environment(settings(1)), ProcessPoolExecutor(processes, get_context("spawn")) as pool:
         asked = {(case, finer): pool.submit(solve, *case, finer) for finer in reversed(FINER) for case in cases}
         solved = {key: future.result() for key, future in asked.items()}
     rows = []

@@ -15,7 +15,6 @@ Left out: errors that all meshes share (load steps, contact law, the object's ge
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
@@ -30,9 +29,9 @@ from gelsim.bench.presses import ball, hemisphere
 from gelsim.errors import GelsimError
 from gelsim.fem.indicator import MOVING
 from gelsim.scene_file import build_scene
+from gelsim.workers import in_environment, settings
 
 Layer = dict[str, Any]
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_THREADING_LAYER": "SEQUENTIAL"}
 LEVELS = ("fast", "balanced", "reference", "truth")
 REFERENCE = sizing.SIZES["reference"]
 TRUTH = replace(
@@ -88,8 +87,7 @@ def solve(case: str, level: str, folder: Path) -> dict[str, Any]:
 
 def solve_all(cases: list[str], folder: Path, processes: int) -> None:
     """Fills the folder; a press that cannot be solved is told and left out."""
-    os.environ.update(ONE_THREAD)
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+    with in_environment(settings(1)), ProcessPoolExecutor(processes, get_context("spawn")) as pool:
         asked = {pool.submit(solve, case, level, folder): (case, level) for level in reversed(LEVELS) for case in cases}  # longest first
         for done in as_completed(asked):
             error = done.exception()
