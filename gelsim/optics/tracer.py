@@ -51,6 +51,8 @@ VERTEX_GATHER_RAYS = 4
 SEEN_GATHER_RAYS = (4, 64)
 PATHS_A_RAY = 4
 """From a vertex that the camera sees: a ray for every so many paths that end about it, within these."""
+PATHS_AT_ONCE = 2**26
+"""A picture of more is drawn in rows, one part after the other: 12 bytes a path."""
 GOLDEN = 0.6180339887
 """Steps of this share of a circle cover it evenly."""
 
@@ -392,6 +394,8 @@ class Tracer:
         if pool is not None:
             returned = self._returned(point, frame.n, receive, where, pool)
             total = tuple(straight + back for straight, back in zip(total, returned, strict=True))
+        # Scheduled together, or each channel's sum would trace all rays anew.
+        dr.schedule(total)
         means = tuple(mi.Color3f(*(dr.block_sum(channel, rays) / rays for channel in part)) for part in total)
         if chosen is None:
             return means
@@ -483,9 +487,19 @@ class Tracer:
             rays = width * height * self.spp // (PATHS_A_RAY * max(dr.width(self._seen), 1))
             received = self._received(*self._glow(seed), int(np.clip(rays, *SEEN_GATHER_RAYS)), (seed, GATHER_ROUNDS), lens)
             dr.eval(received)
-        index = dr.arange(mi.UInt32, width * height * self.spp)
-        pixel, path = index // self.spp, index % self.spp
-        sample = self._samples(seed, width * height, pixel, path)
+        rows = height if self.bounces else max(PATHS_AT_ONCE // (width * self.spp), 1)
+        parts = [self._pixels(seed, lens, received, first * width, min(rows, height - first) * width) for first in range(0, height, rows)]
+        return mi.TensorXf(parts[0] if len(parts) == 1 else dr.concat(parts), (height, width, 3))
+
+    def _pixels(self, seed: int, lens: Any, received: Any, first: int, count: int) -> Any:
+        """Radiance of `count` pixels from the first on, flat."""
+        mi, dr, scene = self.mi, self.dr, self.scene
+        width = scene.render.resolution[0]
+        indirect = scene.render.mode != "direct"
+        index = dr.arange(mi.UInt32, count * self.spp)
+        # Not a literal: all parts of a picture share a kernel.
+        pixel, path = index // self.spp + dr.opaque(mi.UInt32, first), index % self.spp
+        sample = self._samples(seed, pixel, path)
         jitter = sample()
         # A pixel's paths share the lights.
         turn, times = dr.gather(mi.UInt32, self._turn, path), dr.gather(mi.Float, self._times, path)
@@ -513,8 +527,10 @@ class Tracer:
             active &= share > 0
             found = met.compute_surface_interaction(ray, active=active)
             to_eye = -ray.d
+        # Scheduled together, or each channel's sum would trace all paths anew.
+        dr.schedule(total)
         mean = [dr.block_sum(channel, self.spp) / self.spp for channel in total]
-        return mi.TensorXf(dr.ravel(mi.Color3f(*mean)), (height, width, 3))
+        return dr.ravel(mi.Color3f(*mean))
 
     def height(self) -> Any:
         """z of the placed membrane at the pixels' centres [mm], a tensor (H, W); NaN where the camera sees no gel."""
@@ -531,7 +547,7 @@ class Tracer:
             found = dr.select(dr.isnan(found) & met.is_valid(), ray.o.z + met.t * ray.d.z, found)
         return mi.TensorXf(found + dr.zeros(mi.Float, width * height), (height, width))
 
-    def _samples(self, seed: int, pixels: int, pixel: Any, path: Any) -> Callable[[], Any]:
+    def _samples(self, seed: int, pixel: Any, path: Any) -> Callable[[], Any]:
         """A function that gives points of the unit square: first for the place in the pixel, then for the place on the lights.
 
         All lights get the same place, for their sum alone is seen.
@@ -539,14 +555,15 @@ class Tracer:
         mi, dr = self.mi, self.dr
         if self._sampler is not None:
             self._sampler.set_samples_per_wavefront(self.spp)
-            self._sampler.seed(seed, pixels * self.spp)
+            self._sampler.seed(seed, dr.width(pixel))
             return self._sampler.next_2d
         if self._sets is None:
             sets = path_sets(self.spp, self._turns, 0)
             self._sets = len(sets), mi.Float(sets.ravel())
         count, values = self._sets
         if self._lots is None or self._lots[0] != seed:
-            self._lots = seed, mi.UInt32(np.random.default_rng(seed).integers(count, size=pixels, dtype=np.uint32))
+            width, height = self.scene.render.resolution
+            self._lots = seed, mi.UInt32(np.random.default_rng(seed).integers(count, size=width * height, dtype=np.uint32))
         x, y, across, up = dr.gather(mi.Vector4f, values, dr.gather(mi.UInt32, self._lots[1], pixel) * self.spp + path)
         points = [mi.Point2f(x, y), mi.Point2f(across, up)]
         return lambda: points.pop(0) if len(points) > 1 else points[0]
