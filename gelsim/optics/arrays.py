@@ -1,4 +1,4 @@
-"""The few array operations that `optics.baked` is written in, by Dr.Jit (vector units, all cores, or a GPU) or by NumPy.
+"""The few array operations that `optics.baked` and `optics.isp` are written in, by Dr.Jit (vector units, all cores, a GPU) or by NumPy.
 
 NumPy serves where Dr.Jit has no backend (no libLLVM, no CUDA), and is the twin that tests compare with. One-dimensional arrays only.
 """
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 Values = Any
-"""A one-dimensional float32 or int32 array of the backend."""
+"""A one-dimensional float32, int32 or uint32 array of the backend."""
 
 
 class NumPyArrays:
@@ -27,9 +27,17 @@ class NumPyArrays:
         self.sqrt: Any = np.sqrt
         self.atan: Any = np.arctan
         self.atan2: Any = np.arctan2
+        self.cos: Any = np.cos
+        self.sin: Any = np.sin
+        self.log: Any = np.log
+        self.power: Any = np.power
 
     def floats(self, values: Any) -> Values:
         return np.ascontiguousarray(values, np.float32).ravel()
+
+    def words(self, values: Any) -> Values:
+        """uint32, whose sums and products wrap."""
+        return np.asarray(values).astype(np.uint32)
 
     def range(self, count: int) -> Values:
         return np.arange(count, dtype=np.int32)
@@ -82,7 +90,7 @@ class DrJitArrays:
 
         self.name, self._dr = backend, drjit
         types = importlib.import_module(f"drjit.{backend}")
-        self._float, self._int = types.Float, types.Int
+        self._float, self._int, self._word = types.Float, types.Int, types.UInt32
         self._packets = {2: types.Array2f, 4: types.Array4f}
         self._any = types.ArrayXf
         self.select: Any = drjit.select
@@ -91,9 +99,18 @@ class DrJitArrays:
         self.sqrt: Any = drjit.sqrt
         self.atan: Any = drjit.atan
         self.atan2: Any = drjit.atan2
+        self.cos: Any = drjit.cos
+        self.sin: Any = drjit.sin
+        self.log: Any = drjit.log
+        self.power: Any = drjit.power
 
     def floats(self, values: Any) -> Values:
+        if self._dr.is_array_v(values):  # a Mitsuba variant's
+            return self._float(self._dr.detach(values))
         return self._float(np.ascontiguousarray(values, np.float32).ravel())
+
+    def words(self, values: Any) -> Values:
+        return self._word(values)
 
     def range(self, count: int) -> Values:
         return self._dr.arange(self._int, count)
@@ -105,7 +122,7 @@ class DrJitArrays:
         return self._float(values)
 
     def gather(self, source: Values, index: Values) -> Values:
-        return self._dr.gather(self._float, source, index)
+        return self._dr.gather(type(source), source, index)
 
     def packet(self, source: Values, index: Values, width: int) -> Any:
         if width in self._packets:

@@ -2,7 +2,7 @@
 
     L_c = g [ Σ_k V_k a_k(x, y, z, n) C_kc + γ_c E_c / π + veil_c(x, y) ],      g = grain (1 - m) + paint(n) m,
 
-in four steps, each over all pixels of a batch of frames at once:
+in five steps, each over all pixels of a batch of frames at once:
 
 1. *What a pixel sees.* Its ray is straight inside the gel, (x, y) = α + β z. The membrane's grid of material points is solved for the one
    on the ray by Newton's method on the bilinear patches: first at every third pixel, then one more step for each.
@@ -12,6 +12,7 @@ in four steps, each over all pixels of a batch of frames at once:
 3. *Inter-reflection*, E: one bounce, from the horizon's silhouettes in 8 directions at 0.2 mm (Max 1986; as Jimenez et al. 2016 use them);
    the surface reflects as a Lambertian one, and γ, fitted once a sensor, stands for the coat's reflectance and for further bounces.
 4. *Coat and markers*: grain g and coverage m looked up in material coordinates, averaged over a pixel beforehand.
+5. *The image pipeline* of `optics.isp`, in the same kernel.
 
 Left out: lobes of the coat in inter-reflection, folds that the camera sees behind one another (the pixel takes one of the layers),
 change of a texture's blur by stretch, and shadows of a light right behind the membrane's own plane.
@@ -31,6 +32,7 @@ from gelsim.optics.arrays import Arrays, Values, choose_arrays
 from gelsim.optics.baked_kernels import DIRECTIONS, LINES, PIECES, SHADE, STEPS, Layout, coarse_size, draw
 from gelsim.optics.camera import gel_ray, make_lens, pixel_size
 from gelsim.optics.coating import TEXEL, grain_pattern, marker_coverage
+from gelsim.optics.isp import as_picture, camera_pipeline, frame_keys
 from gelsim.optics.lighting import light_pose
 from gelsim.optics.variant import VariantChoice, use_variant
 from gelsim.results import Membrane
@@ -69,10 +71,29 @@ class BakedRenderer:
 
     def pictures(self, membranes: Sequence[Membrane]) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """`picture` of many membranes at once."""
-        pixels = self._arrays.numpy(self.launch(self.upload(membranes)))
+        return [(radiance, height) for radiance, _, height in self._fetched(self.launch(self.upload(membranes)))]
+
+    def frames(self, membranes: Sequence[Membrane], first: int = 0) -> list[tuple[NDArray[np.float32], Any, NDArray[np.float32]]]:
+        """Of a press's frames from number `first` on: linear RGB and the picture of `isp.develop`, (H, W, 3), and z [m], (H, W)."""
+        return self._fetched(self._started(membranes, first))
+
+    def enqueue(self, membrane: Membrane, index: int = 0) -> tuple[Values, Values | None]:
+        """Starts drawing frame `index`, for `fetch`, and does not wait."""
+        return self._started([membrane], index)
+
+    def fetch(self, drawn: tuple[Values, Values | None]) -> tuple[NDArray[np.float32], Any, NDArray[np.float32]]:
+        """What `frames` gives of a frame that was started."""
+        return self._fetched(drawn)[0]
+
+    def _started(self, membranes: Sequence[Membrane], first: int) -> tuple[Values, Values | None]:
+        uploaded = self.upload(membranes)
+        return self.launch(uploaded, self._arrays.words(frame_keys(self._scene, list(range(first, first + len(membranes))))))
+
+    def _fetched(self, drawn: tuple[Values, Values | None]) -> list[tuple[NDArray[np.float32], Any, NDArray[np.float32]]]:
         width, height = self._scene.render.resolution
-        pixels = pixels.reshape(len(membranes), height, width, 4)
-        return [(np.ascontiguousarray(picture[..., :3]), (picture[..., 3] / MM).astype(np.float32)) for picture in pixels]
+        pixels = self._arrays.numpy(drawn[0]).reshape(-1, height, width, 4)
+        images = [None] * len(pixels) if drawn[1] is None else as_picture(self._arrays.numpy(drawn[1]), pixels.shape[:3])
+        return [(picture[..., :3], image, picture[..., 3]) for picture, image in zip(pixels, images, strict=True)]
 
     def upload(self, membranes: Sequence[Membrane]) -> tuple[Values, Values]:
         """Vertices and normals of membranes on the device, for `launch`."""
@@ -87,9 +108,9 @@ class BakedRenderer:
             normals[n] = membrane.normals[:, :2]
         return self._arrays.floats(places), self._arrays.floats(normals)
 
-    def launch(self, uploaded: tuple[Values, Values]) -> Values:
-        """Red, green, blue and z [mm] of every pixel of every frame, one after the other, on the device."""
-        return self._draw(self._tables, *uploaded)
+    def launch(self, uploaded: tuple[Values, Values], keys: Values | None = None) -> tuple[Values, Values | None]:
+        """Red, green, blue and z [m] of every pixel of every frame, one after the other, on the device; with `keys` 8-bit pictures too."""
+        return self._draw(self._tables, *uploaded, keys)
 
     # ---- once a scene ----
 
@@ -121,6 +142,8 @@ class BakedRenderer:
         if len(pieces):
             self._tables["polar"] = put(_polar_places(pieces, size, cells))
             self._tables["pieces"] = put(pieces)
+        pipeline, camera_tables = camera_pipeline(scene)
+        self._tables |= {name: put(values) for name, values in camera_tables.items()}
         self._layout = layout = Layout(
             width,
             height,
@@ -137,11 +160,12 @@ class BakedRenderer:
             light_field.heights.tolist(),
             light_field.normals,
             light_field.light_of.tolist(),
+            pipeline,
         )
         arrays, floats_a_frame = self._arrays, 4 * columns * rows
 
-        def drawn(tables: dict[str, Values], places: Values, normals: Values) -> Values:
-            return draw(arrays, layout, tables, places, normals, len(places) // floats_a_frame)
+        def drawn(tables: dict[str, Values], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
+            return draw(arrays, layout, tables, places, normals, keys, len(places) // floats_a_frame)
 
         self._draw = arrays.compiled(drawn)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from gelsim.lightfield import PACKET
 from gelsim.optics.arrays import Arrays, Values
+from gelsim.optics.isp import Pipeline, develop_pixels, packed_bytes
 
 PIECES = 3
 """A light's long side is cut in so many for its soft shadow."""
@@ -54,6 +55,7 @@ class Layout:
     heights: list[float]
     normals: float
     light_of: list[int]
+    pipeline: Pipeline
 
 
 def coarse_size(width: int, height: int) -> tuple[int, int]:
@@ -77,7 +79,8 @@ class _Seen:
     """Whether the ray meets no gel."""
 
 
-def draw(ar: Arrays, st: Layout, t: dict[str, Values], places: Values, normals: Values, frames: int) -> Values:
+def draw(ar: Arrays, st: Layout, t: dict[str, Values], places: Values, normals: Values, keys: Values | None, frames: int) -> tuple:
+    """Red, green, blue and z [m] of every pixel; and, with `keys` of the frames' noise, the 8-bit pictures as `packed_bytes`, else None."""
     # Over the gel, seen along z: heights, and what light does there.
     cells = st.cells[0] * st.cells[1]
     frame, cell = _lanes(ar, frames, cells)
@@ -134,7 +137,10 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Values], places: Values, normals: 
         colour = [a * share for a in colour]
     nothing = seen.missed
     colour = [ar.select(nothing, 0.0, ar.maximum(a, 0.0)) for a in colour]
-    return ar.interleave([*colour, ar.select(nothing, float("nan"), seen.z)])
+    pixels = ar.interleave([*colour, ar.select(nothing, float("nan"), seen.z * 1e-3)])
+    if keys is None:
+        return pixels, None
+    return pixels, packed_bytes(ar, develop_pixels(ar, st.pipeline, t, colour, pixel, frame, keys))
 
 
 def _lanes(ar: Arrays, frames: int, each: int) -> tuple[Values, Values]:

@@ -4,18 +4,43 @@
 
 shading by `optics.shading`, N the electrons of a white pixel (shot noise; normal in place of Poisson: at N x = 100 electrons the skewness
 is 0.1), σ the read noise before the tone curve, s noise after it, as it is measured on finished pictures. Tone: sRGB after
-IEC 61966-2-1, or none. Clipped, rounded. The exposure is the preset's, never automatic, so that frames and presses can be compared. Left
-out: Bayer mosaic, compression, crosstalk between the colours, fixed-pattern noise.
+IEC 61966-2-1, or none. Clipped, rounded. The exposure is the preset's, never automatic, so that frames and presses can be compared.
+
+Written in `optics.arrays`: where the light was drawn the picture is developed too. Random numbers are a hash of pixel, frame and seed
+(pcg3d, Jarzynski and Olano 2020), so that they are the same in any order and on any backend; normal ones by Box and Muller. Left out:
+Bayer mosaic, compression, crosstalk between the colours, fixed-pattern noise.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.optics.arrays import Arrays, NumPyArrays, Values
 from gelsim.optics.camera import window_transmission
 from gelsim.optics.shading import shading_gain
 from gelsim.scene import Scene
+
+FOOT = 0.0031308
+"""Where sRGB's straight foot ends."""
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """What a camera's pipeline consists of: kernels are made for it, its numbers are in tables."""
+
+    by_pixel: bool
+    """Whether the gain differs between pixels."""
+    early_noise: bool
+    """Before the tone curve."""
+    late_noise: bool
+    """After it."""
+    srgb: bool
+    bent: bool
+    """Whether there is an exponent on the curve."""
 
 
 def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDArray[np.uint8]:
@@ -27,25 +52,118 @@ def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDAr
     Returns:
         Shape (H, W, 3).
     """
+    arrays = NumPyArrays()
+    pipeline, tables = camera_pipeline(scene)
+    colour = [np.ascontiguousarray(radiance[..., channel], np.float32).ravel() for channel in range(3)]
+    pixel = arrays.range(len(colour[0]))
+    words = develop_pixels(arrays, pipeline, tables, colour, pixel, pixel * 0, frame_keys(scene, [index]))
+    return as_picture(packed_bytes(arrays, words), radiance.shape[:2])
+
+
+def camera_pipeline(scene: Scene) -> tuple[Pipeline, dict[str, NDArray[np.float32]]]:
+    """The scene's pipeline, and its numbers: "gain" by channel, or by channel and pixel; "camera", shot, read, late noise and exponent."""
     camera = scene.camera
-    linear = radiance * shading_gain(scene) * (camera.exposure * np.array(camera.white_balance))
+    gain = shading_gain(scene) * (camera.exposure * np.array(camera.white_balance))
     if camera.fresnel:
-        linear *= window_transmission(scene)[..., None]
-    rng = np.random.default_rng([scene.seed, index])
-    if any(camera.full_well) or any(camera.read_noise):
-        electrons = np.array(camera.full_well)
-        shot = np.divide(1.0, electrons, out=np.zeros(3), where=electrons > 0)
-        variance = np.clip(linear, 0, None) * shot + np.array(camera.read_noise) ** 2
-        linear += np.sqrt(variance) * rng.standard_normal(linear.shape)
-    linear = linear.astype(np.float32)
-    levels = srgb_tone(linear) if camera.tone == "srgb" else np.clip(linear, 0.0, 1.0)
-    levels = 255.0 * (levels if camera.gamma == 1.0 else levels**camera.gamma)
-    if any(camera.noise_sd):
-        levels = levels + rng.standard_normal(levels.shape) * np.array(camera.noise_sd)
-    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+        gain = gain * window_transmission(scene)[..., None]
+    electrons = np.array(camera.full_well)
+    shot = np.divide(1.0, electrons, out=np.zeros(3), where=electrons > 0)
+    numbers = np.concatenate([shot, np.square(camera.read_noise), camera.noise_sd, [camera.gamma]])
+    early, late = any(camera.full_well) or any(camera.read_noise), any(camera.noise_sd)
+    pipeline = Pipeline(gain.shape[:2] != (1, 1), early, late, camera.tone == "srgb", camera.gamma != 1.0)
+    return pipeline, {"gain": gain.reshape(-1, 3).T.astype(np.float32).ravel(), "camera": numbers.astype(np.float32)}
+
+
+def frame_keys(scene: Scene, indices: list[int]) -> NDArray[np.uint32]:
+    """What makes the noise of frames their own, two words each."""
+    return np.concatenate([np.random.SeedSequence([scene.seed, index]).generate_state(2) for index in indices]).astype(np.uint32)
+
+
+def develop_pixels(
+    ar: Arrays, pipeline: Pipeline, t: dict[str, Values], colour: list[Values], pixel: Values, frame: Values, keys: Values
+) -> Values:
+    """8-bit red, green and blue in the low three bytes of a word, for every lane.
+
+    Args:
+        t: Of `camera_pipeline`, on the backend.
+        colour: Radiance by channel.
+        pixel, frame: Number of the pixel in its frame, and of the frame in `keys` (words, of `frame_keys`).
+    """
+    zero = pixel * 0
+
+    def number(k: int) -> Values:
+        return ar.gather(t["camera"], zero + k)
+
+    pixels = len(t["gain"]) // 3
+    levels = [a * ar.gather(t["gain"], pixel + c * pixels if pipeline.by_pixel else zero + c) for c, a in enumerate(colour)]
+    if pipeline.early_noise:
+        normal = _normals(ar, pixel, frame, keys, 0)
+        levels = [a + ar.sqrt(ar.maximum(a, 0.0) * number(c) + number(3 + c)) * normal[c] for c, a in enumerate(levels)]
+    levels = [ar.minimum(ar.maximum(a, 0.0), 1.0) for a in levels]
+    if pipeline.srgb:
+        levels = [ar.select(a <= FOOT, 12.92 * a, 1.055 * ar.power(ar.maximum(a, FOOT), 1 / 2.4) - 0.055) for a in levels]
+    if pipeline.bent:
+        levels = [ar.power(ar.maximum(a, 1e-6), number(9)) for a in levels]
+    levels = [255.0 * a for a in levels]
+    if pipeline.late_noise:
+        normal = _normals(ar, pixel, frame, keys, 1)
+        levels = [a + number(6 + c) * normal[c] for c, a in enumerate(levels)]
+    red, green, blue = (ar.words(ar.whole(ar.minimum(ar.maximum(a, 0.0), 255.0) + 0.5)) for a in levels)
+    return red | (green << 8) | (blue << 16)
+
+
+def _normals(ar: Arrays, pixel: Values, frame: Values, keys: Values, draw: int) -> list[Values]:
+    """Three standard normal numbers a lane."""
+    v = [ar.words(pixel), ar.gather(keys, frame * 2), ar.gather(keys, frame * 2 + 1) + draw]
+    v = [a * 1664525 + 1013904223 for a in v]
+    for turn in range(2):
+        for i in range(3):
+            v[i] = v[i] + v[(i + 1) % 3] * v[(i + 2) % 3]
+        if turn == 0:
+            v = [a ^ (a >> 16) for a in v]
+    # 23 bits a radius, up to 5.8 standard deviations; 16 bits an angle.
+    near, far = (ar.sqrt(-2.0 * ar.log((ar.real(word >> 9) + 0.5) * 2.0**-23)) for word in v[:2])
+    one, other = (ar.real(half) * (2 * np.pi / 65536) for half in (v[2] & 0xFFFF, v[2] >> 16))
+    return [near * ar.cos(one), near * ar.sin(one), far * ar.cos(other)]
+
+
+def packed_bytes(ar: Arrays, words: Values) -> Values:
+    """The low three bytes of each word, one after the other: four of them make three words."""
+    last = len(words) - 1
+    lane = ar.range(-(-len(words) // 4) * 3)
+    place = lane - lane // 3 * 3
+    first = lane // 3 * 4 + place
+    shift = ar.words(place * 8)
+    low, high = (ar.gather(words, ar.minimum(at, last)) for at in (first, first + 1))
+    return (low >> shift) | (high << (24 - shift))
+
+
+def as_picture(packed: NDArray[np.uint32], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """What `packed_bytes` packed, on the host: shape (*shape, 3)."""
+    return packed.astype("<u4", copy=False).view(np.uint8)[: 3 * int(np.prod(shape))].reshape(*shape, 3)
 
 
 def srgb_tone(linear: NDArray[np.floating]) -> NDArray[np.floating]:
     """Linear 0…1 to sRGB 0…1, elementwise; values beyond are clipped, as a camera does."""
     linear = np.clip(linear, 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.where(linear <= FOOT, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+class Developer:
+    """`develop` on the backend that drew the picture, made ready once."""
+
+    def __init__(self, scene: Scene, arrays: Arrays) -> None:
+        self._scene, self._arrays = scene, arrays
+        pipeline, tables = camera_pipeline(scene)
+        self._tables = {name: arrays.floats(values) for name, values in tables.items()}
+
+        def developed(tables: dict[str, Values], radiance: Values, keys: Values) -> Values:
+            pixel = arrays.range(len(radiance) // 3)
+            colour = [arrays.gather(radiance, pixel * 3 + channel) for channel in range(3)]
+            return packed_bytes(arrays, develop_pixels(arrays, pipeline, tables, colour, pixel, pixel * 0, keys))
+
+        self._developed: Any = arrays.compiled(developed)
+
+    def __call__(self, radiance: Values, index: int) -> Values:
+        """Of interleaved red, green and blue of all pixels; for `as_picture`."""
+        return self._developed(self._tables, radiance, self._arrays.words(frame_keys(self._scene, [index])))

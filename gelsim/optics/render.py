@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.lightfield import LightField
 from gelsim.optics import bake
+from gelsim.optics.arrays import choose_arrays
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.camera import height_map, marker_pixels
-from gelsim.optics.isp import develop
+from gelsim.optics.isp import Developer, as_picture, develop
 from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
 from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import VariantChoice, choose_variant, use_variant
@@ -48,15 +50,26 @@ def render_frames(
     """
     chosen = variant or choose_variant(device)
     if scene.render.mode == "baked":
-        draw = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen).picture
+        renderer = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen)
     else:
-        draw = Renderer(scene, chosen).picture
+        renderer = Renderer(scene, chosen)
 
-    for index, membrane in enumerate(membranes):
-        radiance, height = draw(membrane)
-        yield Frame(radiance, develop(scene, radiance, index), height, marker_pixels(scene, membrane))
+    def finished(index: int, drawn: Any) -> Frame:
+        radiance, image, height = renderer.fetch(drawn)
+        frame = Frame(radiance, image, height, marker_pixels(scene, membranes[index]))
         if progress:
             progress(index + 1, len(membranes))
+        return frame
+
+    # While the device draws one frame, the next is prepared here.
+    waiting: Any = None
+    for index, membrane in enumerate(membranes):
+        following = renderer.enqueue(membrane, index)
+        if index:
+            yield finished(index - 1, waiting)
+        waiting = following
+    if len(membranes):
+        yield finished(len(membranes) - 1, waiting)
 
 
 def left_out(scene: Scene, variant: VariantChoice) -> list[str]:
@@ -80,6 +93,8 @@ class Renderer:
         else:
             self._scalar = None
             self._tracer = Tracer(mi, scene, scene.render.spp)
+            self._arrays = choose_arrays(variant.name)
+            self._developer = Developer(scene, self._arrays)
 
     def radiance(self, membrane: Membrane, seed: int | None = None) -> NDArray[np.float32]:
         """Linear RGB of the membrane, shape (H, W, 3); `seed` other than the scene's gives an independent estimate."""
@@ -89,12 +104,22 @@ class Renderer:
         self._tracer.place(membrane)
         return np.array(self._tracer.picture(seed), np.float32)
 
-    def picture(self, membrane: Membrane) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Radiance, and z of the membrane at the pixels' centres [m] as in `camera.height_map`."""
-        radiance = self.radiance(membrane)
+    def enqueue(self, membrane: Membrane, index: int = 0) -> tuple[Any, Any, Any]:
+        """Starts drawing frame `index`, for `fetch`; only scalar variants wait."""
         if self._scalar is not None:
-            return radiance, height_map(self._scene, membrane)
-        return radiance, np.array(self._tracer.height(), np.float32) * np.float32(1e-3)
+            radiance = self._scalar.radiance(membrane, self._scene.seed)
+            return radiance, develop(self._scene, radiance, index), height_map(self._scene, membrane)
+        self._tracer.place(membrane)
+        picture, height = self._tracer.picture(self._scene.seed), self._tracer.height()
+        self._tracer.dr.eval(picture, height)
+        return picture, self._developer(self._arrays.floats(picture.array), index), height
+
+    def fetch(self, drawn: tuple[Any, Any, Any]) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
+        """Of a frame that was started: linear RGB and the 8-bit picture, (H, W, 3), and z at the pixels' centres [m], (H, W)."""
+        if self._scalar is not None:
+            return drawn
+        radiance, packed, height = (np.array(values) for values in drawn)
+        return radiance, as_picture(packed, height.shape), height * np.float32(1e-3)
 
 
 class ScalarRenderer:

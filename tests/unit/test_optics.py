@@ -215,7 +215,8 @@ def test_no_ray_slips_between_triangles():
         pytest.skip("heights by rays need LLVM")
     scene = build_scene({"sensor": {"preset": "fingertip2017"}, "render": {"spp": 1}})
     membrane = rest_membrane(scene)
-    _, heights = Renderer(scene, choice).picture(membrane)
+    renderer = Renderer(scene, choice)
+    _, _, heights = renderer.fetch(renderer.enqueue(membrane))
     # Linear on the same triangles; float32 at 40 mm from the camera is 4 nm, twice a thousandth of a pixel on the dome's slope 10 nm.
     np.testing.assert_allclose(heights, height_map(scene, membrane), atol=0.1e-6)
 
