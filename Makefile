@@ -1,4 +1,4 @@
-# make demo: a first tactile video.  make test: the tests.  make lint: what CI checks beside them.
+# make demo: a first tactile video.  make test: the tests.  make lint: what CI checks beside them.  make docs: the site, out/site/index.html.
 # make train-mini: the learner on the small dataset that comes along, two minutes on a CPU.
 # Each makes .venv from constraints.txt when it is missing or out of date. No root needed.
 
@@ -6,7 +6,7 @@ PYTHON ?= $(shell for name in python3.11 python3.12 python3.13 python3 python; d
 	if $$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then command -v $$name; break; fi; done)
 BIN := .venv/bin
 
-.PHONY: demo train-mini test lint clean
+.PHONY: demo train-mini test lint docs clean
 .DELETE_ON_ERROR:
 
 demo: .venv/stamp
@@ -27,10 +27,14 @@ lint: .venv/stamp
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/python -m pytest tests/meta/test_layers.py
 
+docs: .venv/stamp
+	$(BIN)/mkdocs build
+	@echo "Look at out/site/index.html"
+
 .venv/stamp: pyproject.toml constraints.txt .ci/fetch_llvm
 	@test -n "$(PYTHON)" || { echo "make: needs Python 3.11 or later (make PYTHON=/path/to/python3.11)" >&2; exit 1; }
 	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[learn,dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[learn,dev,docs]"
 	@.ci/fetch_llvm .venv || echo "no private libLLVM: rendering takes the variant that 'gelsim doctor' names"
 	touch $@
 
