@@ -35,11 +35,12 @@ from numpy.typing import NDArray
 
 from gelsim.optics.camera import gel_ray, make_lens, sideways, solve_slope
 from gelsim.optics.coating import flake_albedo, grain_pattern, marker_coverage
+from gelsim.optics.lighting import mirror_height, mirrored_light
 from gelsim.optics.scene_dict import mesh_arrays
 from gelsim.optics.spectra import light_colour
 from gelsim.optics.stratified import grid_of, path_groups, path_sets
 from gelsim.results import Membrane
-from gelsim.scene import Light, Scene
+from gelsim.scene import Scene
 
 OFFSET = 2e-3
 """Of a ray's start from the surface [mm], along the normal: Mitsuba's own is of this size here."""
@@ -75,7 +76,7 @@ class Tracer:
         self.spp = math.prod(grid_of(spp))
         # Long paths need more numbers than the sets have.
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": self.spp}) if bounces else None
-        sources = sum(2 if self._mirrored(light) else 1 for light in scene.lights.lights)
+        sources = sum(2 if mirrored_light(scene, light) else 1 for light in scene.lights.lights)
         # Of a group's paths there is at least one in every grid that has as many columns.
         self._turns = 1 if bounces else max(min(sources, grid_of(spp)[0]), 1)
         groups = path_groups(spp, self._turns)
@@ -226,15 +227,6 @@ class Tracer:
         sine_squared = (lights.gel_ior / lights.window_ior) ** 2 * (1 - dr.square(cosine))
         return self.mi.fresnel(dr.sqrt(dr.maximum(1 - sine_squared, 0)), self.mi.Float(1 / lights.window_ior))[0]
 
-    def _face(self) -> float:
-        """z of the window's outer face [mm], were the window gel."""
-        lights = self.scene.lights
-        return -(self.scene.gel.thickness_mm + lights.window_thickness_mm * lights.gel_ior / lights.window_ior)
-
-    def _mirrored(self, light: Light) -> bool:
-        """Whether the light is seen in the window's outer face too."""
-        return self.scene.lights.window_reflection and light.position_mm[2] > self._face()
-
     def _illuminate(self, point: Any, normal: Any, receive: Any, sample: Any, turn: Any = 0, times: Any = 1) -> tuple[Any, ...]:
         """Σ over the lights of each number of `receive(direction)` times irradiance per cosine.
 
@@ -245,7 +237,7 @@ class Tracer:
         mi, dr, values, scene = self.mi, self.dr, self.values, self.scene
         start = point + OFFSET * normal
         sources = []
-        face = self._face()
+        face = mirror_height(scene)
         for i, light in enumerate(scene.lights.lights):
             facing = dr.normalize(values[f"lights.{i}.direction"])
             upright = light.direction[0] == 0 and light.direction[1] == 0
@@ -256,7 +248,7 @@ class Tracer:
             where = sample() - 0.5
             source = values[f"lights.{i}.position_mm"] + along * (where.x * size.x) + dr.cross(facing, along) * (where.y * size.y)
             sources.append((source, facing, flux, light.lobe))
-            if self._mirrored(light):
+            if mirrored_light(scene, light):
                 image = mi.Point3f(source.x, source.y, 2 * face - source.z)
                 way = image - start
                 cosine = -way.z / dr.norm(way)

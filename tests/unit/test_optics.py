@@ -14,6 +14,7 @@ from gelsim.optics import VariantChoice, choose_variant, height_map, project, re
 from gelsim.optics.camera import marker_pixels, pixel_rays, window_transmission
 from gelsim.optics.coating import marker_coverage
 from gelsim.optics.isp import develop, srgb_tone
+from gelsim.optics.lighting import check_lights
 from gelsim.optics.render import Renderer
 from gelsim.optics.scene_dict import path_count, scene_dict
 from gelsim.results import Membrane
@@ -316,3 +317,42 @@ def test_presets_show_a_neutral_grey_without_contact(preset):
     # Real frames: 95 to 125 of 255, nearly neutral in the middle, here within 10 levels.
     assert centre.min() >= 95 and centre.max() <= 125 and np.ptp(centre) <= 10
     assert np.isfinite(frame.height).all() and np.isfinite(frame.marker_pixels).any()
+
+
+DARK = {
+    "no light": ((), {}, "lights.lights is empty"),
+    "faces down": (
+        ("lamp", (30.0, 0.0, -9.0), (-1.0, 0.0, -8.0)),
+        {},
+        "'lamp': position_mm = 30 0 -9 mm and direction = -1 0 -8: it faces away",
+    ),
+    "faces out": (("lamp", (30.0, 0.0, -9.0), (1.0, 0.0, 0.0)), {"window_reflection": True}, "direction = -30 0 7.8"),
+    "in the gel": (
+        ("lamp", (0.0, 2.0, -1.0), (0.0, 0.0, 1.0)),
+        {},
+        "is inside the gel and in the camera's view; allowed is below z = -2.4 mm",
+    ),
+    # The dome leaves half of edge_thickness_mm = 1 mm of 2.4 mm in its corners.
+    "behind the coat": (("lamp", (12.0, 12.0, -1.0), (-1.0, 0.0, 0.0)), {}, "is beyond the gel's coat, which is at z = -1.9 mm there"),
+}
+
+
+@pytest.mark.parametrize("name", DARK)
+def test_lights_that_light_nothing_are_refused(name):
+    lamp, more, expected = DARK[name]
+    lights = Lights((Light(*lamp),) if lamp else (), **more)
+    scene = Scene(lights=lights)
+    for refuse in (lambda: scene_dict(scene), lambda: next(render_frames(scene, [rest_membrane(scene)], variant=variant.SCALAR))):
+        with pytest.raises(SceneError) as caught:
+            refuse()
+        assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_odd_lights_that_light_the_gel_are_drawn():
+    # In the window under the middle; within the gel's rim, beside the picture; facing down, seen in the window's outer face alone.
+    for lamp, reflected in (
+        (((0.0, 0.0, -5.0), (0.0, 0.0, 1.0)), False),
+        (((11.0, 0.0, -1.5), (-1.0, 0.0, 0.0)), False),
+        (((1.0, 0.0, -4.0), (0.0, 0.0, -1.0)), True),
+    ):
+        check_lights(Scene(lights=Lights((Light("lamp", *lamp),), window_reflection=reflected)))
