@@ -17,7 +17,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
     "markers.layout": ("grid", "none"),
     "camera.tone": ("srgb", "linear"),
-    "render.mode": ("baked", "path", "direct"),
+    "render.mode": ("baked", "path", "direct", "auto"),
 }
 
 WITH_PARTS = ("flat", "hemisphere", "cylinder", "edge", "cone", "box", "frustum", "punch", "tomato", "candy")
@@ -114,6 +114,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "markers.outline_jitter": (0, 1),
     "markers.albedo": (0, 1),
     "markers.seed": (0, 2**32 - 1),
+    "render.least_psnr_db": (10, 80),
     "render.spp": (1, 65536),
     "render.resolution": (16, 4096),
 }

@@ -301,7 +301,7 @@ def render(
     """
     record = record or Record()
     surfaces = membranes(scene, deformation, record=record)
-    optics = _choose_renderer(scene, device, record)
+    scene, optics = _choose_renderer(scene, device, record)
     field = None
     if scene.render.mode == "baked":
         with record.stage("light field"):
@@ -350,7 +350,7 @@ def run(
     record = Record()
     if render_frames:
         # What cannot be drawn should be known before minutes go into the press.
-        _choose_renderer(scene, device, record)
+        scene, _ = _choose_renderer(scene, device, record)
     deformation = _earlier_press(scene, folder.path) if resume else None
     try:
         if deformation is None:
@@ -391,18 +391,21 @@ def summary(report: dict[str, Any]) -> str:
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
 
 
-def _choose_renderer(scene: Scene, device: str, record: Record) -> ModuleType:
-    """gelsim.optics, once it is sure that it can draw this scene here."""
+def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, ModuleType]:
+    """The scene with its mode settled, and gelsim.optics, once it is sure that it can draw this scene here."""
     with record.stage("variant"):
         from gelsim import optics
         from gelsim.optics.scene_dict import emitter_dict
 
         emitter_dict(scene)
         variant = optics.choose_variant(device)
+        scene, why = optics.settle_mode(scene)
+    if why:
+        record.choices["mode"] = {"chosen": scene.render.mode, "why": why}
     record.choices["variant"] = variant.name
     record.choices["variant_reason"] = variant.reason
     record.warnings += optics.left_out(scene, variant)
-    return optics
+    return scene, optics
 
 
 def _earlier_press(scene: Scene, out: Path) -> Deformation | None:

@@ -320,10 +320,12 @@ class Markers:
 class Render:
     mode: str = "path"
     """"path": traced, with inter-reflection | "direct": traced, light straight from the emitters | "baked": path, from the sensor's light
-    field, which is measured once."""
+    field, which is measured once | "auto": baked where that is measured and right to least_psnr_db, else path."""
     spp: int = 16
     """Light paths a pixel, rounded up to a nearly square grid; on scalar variants until every light gets the same number."""
     resolution: tuple[int, int] = (480, 360)
+    least_psnr_db: float = 40.0
+    """Mode "auto" takes a light field whose worst picture, of those it was judged by, is no farther from path."""
 
 
 @dataclass(frozen=True)

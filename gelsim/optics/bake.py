@@ -87,6 +87,21 @@ def light_field(scene: Scene, variant: VariantChoice, progress: Progress | None 
     return found
 
 
+def settle_mode(scene: Scene) -> tuple[Scene, str | None]:
+    """The scene with mode "auto" replaced by what is to be drawn, and why that; others as they are, and None."""
+    if scene.render.mode != "auto":
+        return scene, None
+    found, least = read_field(field_path(scene)), scene.render.least_psnr_db
+    worst = None if found is None else found.errors.get("psnr_worst_db")
+    if found is None:
+        mode, why = "path", "the sensor's light field is not measured yet; --mode baked does so, once"
+    elif worst is None or worst < least:
+        mode, why = "path", f"the sensor's light field is right to {worst} dB at its worst; asked was render.least_psnr_db = {least:g} dB"
+    else:
+        mode, why = "baked", f"the sensor's light field is measured, and right to {worst} dB at its worst; asked was {least:g} dB"
+    return scene.replace(render=replace(scene.render, mode=mode)), why
+
+
 def field_path(scene: Scene) -> Path:
     from platformdirs import user_cache_dir
 

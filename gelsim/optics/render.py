@@ -49,6 +49,7 @@ def render_frames(
         RenderError: The device cannot render.
     """
     chosen = variant or choose_variant(device)
+    scene, _ = bake.settle_mode(scene)
     if scene.render.mode == "baked":
         renderer = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen)
     else:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelsim import pipeline
 from gelsim.lightfield import LightField, read_field, write_field
 from gelsim.optics import bake
 from gelsim.optics.variant import SCALAR
@@ -102,6 +103,32 @@ def test_field_is_measured_once_and_again_when_damaged(tmp_path, monkeypatch):
     # A folder that cannot be written costs the cache, not the field.
     monkeypatch.setenv("GELSIM_CACHE", str(path))
     assert bake.light_field(scene, SCALAR).normals == 0.9 and len(calls) == 3
+
+
+def test_auto_takes_a_field_that_is_measured_and_good_enough(tmp_path, monkeypatch):
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path))
+    scene = lit_scene()
+    scene = scene.replace(render=replace(scene.render, mode="auto"))
+
+    def record_of(scene: Scene) -> tuple[str, dict]:
+        record = pipeline.Record()
+        monkeypatch.setattr(pipeline, "membranes", lambda scene, deformation, record: [])
+        assert pipeline.render(scene, None, device="cpu", record=record) == []  # type: ignore[arg-type]
+        return record.choices["mode"]["chosen"], record.choices
+
+    chosen, choices = record_of(scene)
+    assert chosen == "path" and "not measured yet" in choices["mode"]["why"] and "light_field" not in choices
+    write_field(bake.field_path(scene), replace(linear_field(), errors={"psnr_worst_db": 44.0}))
+    chosen, choices = record_of(scene)
+    assert chosen == "baked" and "44.0 dB" in choices["mode"]["why"] and choices["light_field"] == {"psnr_worst_db": 44.0}
+    finer = scene.replace(render=replace(scene.render, least_psnr_db=45.0))
+    assert record_of(finer)[0] == "path" and "least_psnr_db = 45 dB" in record_of(finer)[1]["mode"]["why"]
+    # A bake that does not say how good it is; what was asked for by name stays.
+    write_field(bake.field_path(scene), replace(linear_field(), errors={}))
+    assert record_of(scene)[0] == "path"
+    for mode in ("path", "direct", "baked"):
+        named = scene.replace(render=replace(scene.render, mode=mode))
+        assert bake.settle_mode(named) == (named, None)
 
 
 def test_key_follows_what_decides_the_light():
