@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import DatasetError, SceneError
 from gelsim.lightfield import LightField
+from gelsim.membrane import Surface
 from gelsim.results import Membrane
 from gelsim.scene import Camera, Scene
 from gelsim.scene_file import build_scene
@@ -32,13 +33,14 @@ AT_ONCE = 16
 
 
 class Studio:
-    """Draws membranes for many scenes of few sensors; keeps their light fields."""
+    """Draws the presses of many scenes, seen by few sensors; keeps the sensors' light fields."""
 
     def __init__(self, device: str = "cpu") -> None:
         from gelsim import optics
 
         self._variant = optics.choose_variant(device)
         self._fields: dict[str, LightField] = {}
+        self._surface: Surface | None = None
 
     def field(self, sensor: Scene) -> LightField:
         """Of the cache, or measured now: a few minutes of all cores."""
@@ -48,6 +50,13 @@ class Studio:
         if key not in self._fields:
             self._fields[key] = bake.light_field(sensor, self._variant, lambda *_: None)
         return self._fields[key]
+
+    def membranes(self, scene: Scene, nodes: NDArray[np.float64], displacement: NDArray[np.float64]) -> list[Membrane]:
+        """The coated surface from the motion of its nodes ; episodes of a press that follow each other share it."""
+        last = self._surface
+        if last is None or last.gel != scene.gel or not np.array_equal(last.nodes, nodes):
+            self._surface = last = Surface(scene.gel, nodes)
+        return last.states(scene, displacement)
 
     def pictures(self, scene: Scene, sensor: Scene, membranes: list[Membrane]) -> list[NDArray[np.uint8]]:
         """The membranes as the scene's camera sees them, without noise.

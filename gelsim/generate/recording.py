@@ -160,13 +160,12 @@ def pictured(scene: Scene, sensor: Scene, mechanics: bytes, approach: NDArray[np
         approach: Of every frame [m], shape (N,).
         row: Without what follows from the pictures.
     """
-    from gelsim.membrane import surface_states
     from gelsim.optics.camera import marker_pixels
 
     motion = unpack(mechanics)
     places, where = np.unique(approach, return_inverse=True)
     displacement, force = motion.at(places)
-    membranes = surface_states(scene, motion.rest, displacement)
+    membranes = studio.membranes(scene, motion.rest, displacement)
     images = studio.pictures(scene, sensor, membranes)
     pixels = np.stack([marker_pixels(scene, membrane) for membrane in membranes])
     row = row | {

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of lower layers and of its own package. Siblings of one layer do not import each other.
 LAYERS = [
     {"errors", "units"},
-    {"geometry", "materials", "ledger", "workers", "cluster", "files"},
+    {"geometry", "materials", "ledger", "workers", "cluster", "files", "clough_tocher"},
     {"scene", "limits", "results"},
     {"scene_file", "markers", "console", "tables"},
     {"solids", "sizing", "mesh_file"},
