@@ -6,9 +6,10 @@
     episodes/00000/000123.tar   row.json, labels.npz, background.webp, frames/0000.webp …, and what else the maker gave (scene.toml, …)
 
 An episode is a file that is renamed when it is whole, so there is no half of one; its tar repeats its row, so meta/ can be written again
-from the episodes alone (`survey`). Pictures are lossless WebP, two thirds of PNG's size (docs/datasets.md); PNG is read too. Nothing in a
-file depends on when, where or in which order it was written. Files come from strangers: sizes are bounded, names inside a tar are looked up
-and never unpacked, and nothing is unpickled. docs/datasets.md has the fields.
+from the episodes alone (`survey`). Pictures are lossless WebP (docs/datasets.md: why); PNG is read too. Equal pictures, as of an object
+that stands still, are kept once: the others are hard links inside the tar. Nothing in a file depends on when, where or in which order it
+was written. Files come from strangers: sizes are bounded, names inside a tar are looked up and never unpacked, and nothing is unpickled.
+docs/datasets.md has the fields.
 """
 
 from __future__ import annotations
@@ -146,12 +147,16 @@ def write_episode(folder: Path, episode: Episode, members: Mapping[str, bytes] |
     check_row(episode.row, f"episode {episode.row.get('index')}")
     if episode.row["frames"] != len(episode.frames):
         raise DatasetError(f"episode {episode.row['index']}: its row says {episode.row['frames']} frames, it has {len(episode.frames)}")
+    pictures: dict[bytes, bytes] = {}
+    for picture in (episode.background, *episode.frames):
+        if (pixels := picture.tobytes()) not in pictures:
+            pictures[pixels] = webp(picture)
     files = {
         "row.json": _dumped({"row": episode.row, "sums": _sums(episode)}),
         "labels.npz": npz({name: np.asarray(getattr(episode, name), kind) for name, kind in _LABELS.items()}),
-        "background.webp": webp(episode.background),
+        "background.webp": pictures[episode.background.tobytes()],
     }
-    files |= {f"frames/{number:04d}.webp": webp(frame) for number, frame in enumerate(episode.frames)}
+    files |= {f"frames/{number:04d}.webp": pictures[frame.tobytes()] for number, frame in enumerate(episode.frames)}
     path = folder / episode.row["file"]
     write_tar(path, files | dict(members or {}))
     return path
@@ -172,7 +177,9 @@ def read_episode(path: Path) -> Episode:
             raise DatasetError(f"{path}: more than {MOST_MARKERS} markers")
         kind = "webp" if "background.webp" in names else "png"
         wanted = [f"background.{kind}", *(f"frames/{i:04d}.{kind}" for i in range(count))]
-        pictures = [_picture(_content(tar, names, name)) for name in wanted]
+        kept = {name: names[name].linkname if name in names and names[name].islnk() else name for name in wanted}
+        of_name = {name: _picture(_content(tar, names, name)) for name in dict.fromkeys(kept.values())}
+        pictures = [of_name[kept[name]] for name in wanted]
         if len({picture.shape for picture in pictures}) > 1:
             raise DatasetError(f"{path}: its pictures are not of one size")
         return Episode(np.stack(pictures[1:]), pictures[0], row=row, **labels)
@@ -186,11 +193,11 @@ def read_members(path: Path, names: Sequence[str]) -> dict[str, bytes]:
 
 
 def webp(image: NDArray[np.uint8]) -> bytes:
-    """A picture, lossless."""
+    """A picture, lossless, at the least effort: a sixth of the time of a middling one for a quarter more bytes (docs/datasets.md)."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format="WEBP", lossless=True, quality=40, method=3, exact=True)
+    Image.fromarray(image).save(buffer, format="WEBP", lossless=True, quality=20, method=0, exact=True)
     return buffer.getvalue()
 
 
@@ -212,11 +219,18 @@ def _picture(content: bytes) -> NDArray[np.uint8]:
 
 
 def write_tar(path: Path, files: Mapping[str, bytes]) -> None:
-    """Writes files into an uncompressed tar whose bytes depend on them alone; renamed when whole. Raises DatasetError."""
-    buffer = io.BytesIO()
+    """Writes files into an uncompressed tar whose bytes depend on them alone; renamed when whole. Raises DatasetError.
+
+    Of equal files all but the first are hard links to it.
+    """
+    buffer, first = io.BytesIO(), dict[bytes, str]()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for name, content in files.items():
             entry = tarfile.TarInfo(name)
+            if (known := first.setdefault(content, name)) != name:
+                entry.type, entry.linkname = tarfile.LNKTYPE, known
+                tar.addfile(entry)
+                continue
             entry.size = len(content)
             tar.addfile(entry, io.BytesIO(content))
         end = tar.offset + 2 * tarfile.BLOCKSIZE  # two empty blocks; tarfile would fill up to 10 kB
@@ -246,6 +260,9 @@ class _opened:
 
 
 def _content(tar: tarfile.TarFile, known: Mapping[str, tarfile.TarInfo], name: str) -> bytes:
+    if name in known and known[name].islnk():
+        # To a file of the same archive, and of one step: what it names is a link no more.
+        name = known[name].linkname
     if name not in known or not known[name].isreg():
         raise DatasetError(f"{name} is missing")
     if known[name].size > LARGEST_FILE:
@@ -320,13 +337,24 @@ def write_meta(
 
 
 def _sums(episode: Episode) -> dict[str, Any]:
-    """Whole numbers, so that it does not matter in which order they are added later."""
-    found: dict[str, Any] = {"pixels": int(episode.frames[..., 0].size)}
-    change = episode.frames.astype(np.int32) - episode.background
-    for name, values in (("levels", episode.frames), ("change", change)):
-        flat = values.reshape(-1, 3).astype(np.int64)
-        found[name] = [flat.sum(axis=0).tolist(), (flat**2).sum(axis=0).tolist()]
-    return found
+    """Whole numbers, so that it does not matter in which order they are added later; float64 holds them exactly up to 9e15."""
+    background = _planes(episode.background)
+    sums = np.zeros((2, 2, 3))
+    same: dict[bytes, tuple[int, NDArray[np.uint8]]] = {}
+    for frame in episode.frames:
+        count, _ = same.get(pixels := frame.tobytes(), (0, frame))
+        same[pixels] = count + 1, frame
+    for count, frame in same.values():
+        levels = _planes(frame)
+        for of, values in zip(sums, (levels, levels - background), strict=True):
+            of += count * np.stack([values.sum(axis=1), np.einsum("cp,cp->c", values, values)])
+    levels, change = sums.astype(np.int64).tolist()
+    return {"pixels": int(episode.frames[..., 0].size), "levels": levels, "change": change}
+
+
+def _planes(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Its channels one after the other, shape (3, H W)."""
+    return np.ascontiguousarray(picture.reshape(-1, 3).T, np.float64)
 
 
 def _stats(sums: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -53,6 +53,48 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert data.member(0, "scene.toml") == b"seed = 0\n"
 
 
+def still(count: int = 6) -> Episode:
+    """An episode whose first two frames are the no-contact frame, and whose last three are equal."""
+    made = make(count=count)
+    frames = made.frames.copy()
+    frames[:2], frames[-3:] = made.background, made.frames[-1]
+    return replace(made, frames=frames)
+
+
+def test_equal_pictures_are_kept_once(tmp_path: Path) -> None:
+    made = still()
+    path = write_episode(tmp_path, made)
+    with tarfile.open(path) as tar:
+        links = {member.name: member.linkname for member in tar if member.islnk()}
+    first, last = "background.webp", "frames/0003.webp"
+    assert links == {"frames/0000.webp": first, "frames/0001.webp": first, "frames/0004.webp": last, "frames/0005.webp": last}
+    np.testing.assert_array_equal(read_episode(path).frames, made.frames)
+    # Any other reader of tars sees the same files.
+    with tarfile.open(path) as tar:
+        tar.extractall(tmp_path / "out", filter="data")
+    assert (tmp_path / "out/frames/0005.webp").read_bytes() == (tmp_path / "out" / last).read_bytes()
+    # The sums count each frame: exactly, for they are whole numbers.
+    sums = survey(tmp_path).sums[0]
+    for name, values in (("levels", made.frames), ("change", made.frames.astype(np.int64) - made.background)):
+        flat = values.reshape(-1, 3).astype(np.int64)
+        assert sums[name] == [flat.sum(axis=0).tolist(), (flat**2).sum(axis=0).tolist()]
+
+
+@pytest.mark.parametrize("target", ["frames/0005.webp", "../../etc/passwd", "row.json"])
+def test_a_link_to_no_picture_is_refused(tmp_path: Path, target: str) -> None:
+    """To itself, out of the archive, to something else."""
+    path = write_episode(tmp_path, still())
+    with tarfile.open(path) as tar:
+        members = [(member, tar.extractfile(member)) for member in tar]
+        with tarfile.open(tmp_path / "other.tar", "w") as other:
+            for member, file in members:
+                if member.name == "frames/0005.webp":
+                    member.linkname = target
+                other.addfile(member, file if member.isreg() else None)
+    with pytest.raises(DatasetError, match="is missing|is damaged"):
+        read_episode(tmp_path / "other.tar")
+
+
 def test_png_is_read_too(tmp_path: Path) -> None:
     from PIL import Image
 
