@@ -28,8 +28,8 @@ from gelsim.scene_file import build_scene
 
 QUIET: dict[str, Any] = {"noise_sd": (0.0, 0.0, 0.0), "full_well": (0.0, 0.0, 0.0), "read_noise": (0.0, 0.0, 0.0)}
 """A camera without noise: what is stored; noise is drawn while training."""
-AT_ONCE = 16
-"""Frames drawn in one launch."""
+AT_ONCE = 8
+"""Frames drawn in one launch; an episode has about twenty different ones."""
 
 
 class Studio:
@@ -41,6 +41,8 @@ class Studio:
         self._variant = optics.choose_variant(device)
         self._fields: dict[str, LightField] = {}
         self._surface: Surface | None = None
+        self._renderers: dict[str, Any] = {}
+        """The last one of a sensor."""
 
     def field(self, sensor: Scene) -> LightField:
         """Of the cache, or measured now: a few minutes of all cores."""
@@ -52,7 +54,7 @@ class Studio:
         return self._fields[key]
 
     def membranes(self, scene: Scene, nodes: NDArray[np.float64], displacement: NDArray[np.float64]) -> list[Membrane]:
-        """The coated surface from the motion of its nodes ; episodes of a press that follow each other share it."""
+        """The coated surface from the motion of its nodes; episodes of a press that follow each other share it."""
         last = self._surface
         if last is None or last.gel != scene.gel or not np.array_equal(last.nodes, nodes):
             self._surface = last = Surface(scene.gel, nodes)
@@ -69,16 +71,18 @@ class Studio:
             from gelsim import optics
 
             return [frame.image for frame in optics.render_frames(quiet, membranes, variant=self._variant)]
+        from gelsim.optics import bake
         from gelsim.optics.baked import BakedRenderer
-        from gelsim.optics.isp import develop
 
-        renderer = BakedRenderer(quiet, relit(self.field(sensor), sensor, scene), self._variant)
+        key = f"{bake.field_key(sensor)} {scene.render.resolution}"
+        field = relit(self.field(sensor), sensor, scene)
+        renderer = self._renderers[key] = BakedRenderer(quiet, field, self._variant, like=self._renderers.get(key))
         drawn = []
         for first in range(0, len(membranes), AT_ONCE):
             some = membranes[first : first + AT_ONCE]
             # Always the same number: what is compiled for one batch serves all.
             full = some + [some[-1]] * (AT_ONCE - len(some))
-            drawn += [develop(quiet, radiance) for radiance, _ in renderer.pictures(full)[: len(some)]]
+            drawn += [image for _, image, _ in renderer.frames(full)[: len(some)]]
         return drawn
 
 

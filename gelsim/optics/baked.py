@@ -21,6 +21,7 @@ change of a texture's blur by stretch, and shadows of a light right behind the m
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from gelsim.optics.arrays import Arrays, Values, choose_arrays
 from gelsim.optics.baked_kernels import DIRECTIONS, LINES, PIECES, SHADE, STEPS, Layout, coarse_size, draw
 from gelsim.optics.camera import gel_ray, make_lens, pixel_size
 from gelsim.optics.coating import TEXEL, grain_pattern, marker_coverage
-from gelsim.optics.isp import as_picture, camera_pipeline, frame_keys
+from gelsim.optics.isp import Pipeline, as_picture, camera_pipeline, frame_keys
 from gelsim.optics.lighting import light_pose
 from gelsim.optics.variant import VariantChoice, use_variant
 from gelsim.results import Membrane
@@ -49,10 +50,22 @@ class BakedRenderer:
     """A scene's light field, camera and coat, made ready once to draw many membranes."""
 
     def __init__(
-        self, scene: Scene, light_field: LightField, variant: VariantChoice, *, shadows: bool = True, indirect: bool = True
+        self,
+        scene: Scene,
+        light_field: LightField,
+        variant: VariantChoice,
+        *,
+        shadows: bool = True,
+        indirect: bool = True,
+        like: BakedRenderer | None = None,
     ) -> None:
-        """Of `variant` the backend is taken; without `shadows` or `indirect` those are left out."""
+        """Of `variant` the backend is taken; without `shadows` or `indirect` those are left out.
+
+        `like`: Of a scene that differs in the powers and colours of its lights, markers, grain and what comes after the light alone, with
+        the same table of light: what it has made ready is used again.
+        """
         self._scene, self._field = scene, light_field
+        self._like = like
         self._shadows, self._indirect = shadows, indirect
         if not variant.name.startswith("scalar"):
             use_variant(variant)
@@ -115,18 +128,40 @@ class BakedRenderer:
     # ---- once a scene ----
 
     def _prepare(self, membrane: Membrane) -> None:
+        light_field, put, like = self._field, self._arrays.floats, self._like
+        own = {name: put(getattr(light_field, name)) for name in ("colours", "paint", "gains", "veil")}
+        texture, texels = coat_texture(self._scene)
+        own["texture"] = put(texture)
+        pipeline, camera_tables = camera_pipeline(self._scene)
+        own |= {name: put(values) for name, values in camera_tables.items()}
+        if like is not None and like._layout is not None and like._field.table is light_field.table:
+            self._tables = like._tables | own
+            self._layout = replace(like._layout, texels=texels, marked=self._scene.markers.layout != "none", pipeline=pipeline)
+            self._draw = like._draw if self._layout == like._layout else self._compiled()
+        else:
+            self._prepare_sensor(_material_grid(membrane), texels, pipeline)
+            self._tables |= own
+            self._draw = self._compiled()
+        self._like = None
+
+    def _compiled(self) -> Any:
+        arrays, layout = self._arrays, self._layout
+        assert layout is not None
+        floats_a_frame = 4 * layout.columns * layout.rows
+
+        def drawn(tables: dict[str, Values], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
+            return draw(arrays, layout, tables, places, normals, keys, len(places) // floats_a_frame)
+
+        return arrays.compiled(drawn)
+
+    def _prepare_sensor(self, grid: tuple[int, int], texels: tuple[int, int], pipeline: Pipeline) -> None:
+        """What camera, gel, places of the lights and the field's table make."""
         scene, light_field, put = self._scene, self._field, self._arrays.floats
-        columns, rows = _material_grid(membrane)
+        columns, rows = grid
         width, height = scene.render.resolution
         size = np.array(scene.gel.size_mm)
         cells = int(np.ceil(size[0] / CELL)) + 1, int(np.ceil(size[1] / CELL)) + 1
-        self._tables = {
-            "field": put(_packed(light_field.table)),
-            "colours": put(light_field.colours),
-            "paint": put(light_field.paint),
-            "gains": put(light_field.gains),
-            "veil": put(light_field.veil),
-        }
+        self._tables = {"field": put(_packed(light_field.table))}
         for name, (across, down, step) in {"full": (width, height, 1), "coarse": (*coarse_size(width, height), SHADE)}.items():
             column, row = np.meshgrid((np.arange(across) + 0.5) * step, (np.arange(down) + 0.5) * step)
             self._tables[name] = put(straight_rays(scene, column.ravel(), row.ravel()))
@@ -136,15 +171,11 @@ class BakedRenderer:
         self._tables["plumb"] = put(plumb)
         angles = (np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS
         self._tables["directions"] = put(np.stack([np.cos(angles), np.sin(angles)], axis=1))
-        texture, texels = coat_texture(scene)
-        self._tables["texture"] = put(texture)
         pieces = light_pieces(scene) if self._shadows else np.zeros((0, 12))
         if len(pieces):
             self._tables["polar"] = put(_polar_places(pieces, size, cells))
             self._tables["pieces"] = put(pieces)
-        pipeline, camera_tables = camera_pipeline(scene)
-        self._tables |= {name: put(values) for name, values in camera_tables.items()}
-        self._layout = layout = Layout(
+        self._layout = Layout(
             width,
             height,
             columns,
@@ -162,12 +193,6 @@ class BakedRenderer:
             light_field.light_of.tolist(),
             pipeline,
         )
-        arrays, floats_a_frame = self._arrays, 4 * columns * rows
-
-        def drawn(tables: dict[str, Values], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
-            return draw(arrays, layout, tables, places, normals, keys, len(places) // floats_a_frame)
-
-        self._draw = arrays.compiled(drawn)
 
 
 def _material_grid(membrane: Membrane) -> tuple[int, int]:
@@ -208,13 +233,10 @@ def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:
     """
     if scene.markers.layout == "none" and scene.coating.grain == 0:
         return np.array([[[1.0, 0.0]]], np.float32), (0, 0)
-    from scipy.ndimage import map_coordinates
-
     coverage, grain = marker_coverage(scene), grain_pattern(scene)
-    if grain.size > 1:
-        v, u = ((np.arange(count) + 0.5) / count for count in coverage.shape)
-        places = np.meshgrid(v * grain.shape[0] - 0.5, u * grain.shape[1] - 0.5, indexing="ij")
-        grain = map_coordinates(grain, places, order=1, mode="nearest")
+    for axis in (0, 1):
+        if grain.size > 1:
+            grain = _along(axis, _linear_sampling(grain.shape[axis], coverage.shape[axis]), grain)
     pixel = pixel_size(scene) / TEXEL
     step = max(pixel / TEXELS_A_PIXEL, 1.0)
     # Reading between texels blurs too, with a variance of up to step²/6: the box and that together have a pixel's, pixel²/12.
@@ -222,26 +244,39 @@ def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:
     layers = []
     for layer in (grain * (1 - coverage), coverage):
         for axis in (0, 1):
-            layer = _box_resampled(layer, axis, box, step)
+            layer = _along(axis, _box_means(layer.shape[axis], box, step), layer)
         layers.append(layer)
-    texture = np.stack(layers, axis=-1).astype(np.float32)
+    texture = np.stack(layers, axis=-1)
     return texture, (texture.shape[1], texture.shape[0])
 
 
-def _box_resampled(values: NDArray[np.floating], axis: int, box: float, step: float) -> NDArray[np.float64]:
-    """Means over intervals of `box` texels about every `step`-th place, from the running integral (linear within a texel: exact)."""
-    values = np.moveaxis(np.asarray(values, np.float64), axis, 0)
-    count = len(values)
-    integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+def _along(axis: int, operator: Any, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A sparse operator applied along an axis of a table."""
+    return operator @ values if axis == 0 else np.ascontiguousarray((operator @ np.ascontiguousarray(values.T)).T)
+
+
+def _linear_sampling(before: int, after: int) -> Any:
+    """From `before` texels of a side to `after`, linear between their middles: a sparse operator."""
+    from scipy.sparse import csr_array
+
+    at = np.clip((np.arange(after) + 0.5) / after * before - 0.5, 0, before - 1)
+    first = np.minimum(at.astype(int), before - 2)
+    share = (at - first).astype(np.float32)
+    index, rows = np.stack([first, first + 1], axis=1), np.arange(0, 2 * after + 1, 2)
+    return csr_array((np.stack([1 - share, share], axis=1).ravel(), index.ravel(), rows), shape=(after, before))
+
+
+def _box_means(count: int, box: float, step: float) -> Any:
+    """Means over intervals of `box` texels about every `step`-th place of `count`: a sparse operator, exact for texels of one value."""
+    from scipy.sparse import csr_array
+
     fewer = int(np.ceil(count / step))
     centres = (np.arange(fewer) + 0.5) * count / fewer
-    ends = [np.clip(centres - box / 2, 0, count), np.clip(centres + box / 2, 0, count)]
-    at = []
-    for end in ends:
-        first = np.minimum(end.astype(int), count - 1)
-        share = (end - first)[:, None]
-        at.append(integral[first] * (1 - share) + integral[first + 1] * share)
-    return np.moveaxis((at[1] - at[0]) / (ends[1] - ends[0])[:, None], 0, axis)
+    low, high = np.clip(centres - box / 2, 0, count)[:, None], np.clip(centres + box / 2, 0, count)[:, None]
+    texel = low.astype(int) + np.arange(int(np.ceil(box)) + 1)
+    within = np.clip(np.minimum(high, texel + 1) - np.maximum(low, texel), 0, None) / (high - low)
+    parts = within.astype(np.float32).ravel(), np.minimum(texel, count - 1).ravel(), np.arange(fewer + 1) * texel.shape[1]
+    return csr_array(parts, shape=(fewer, count))
 
 
 def light_pieces(scene: Scene) -> NDArray[np.float64]:

@@ -34,8 +34,14 @@ def marker_coverage(scene: Scene) -> NDArray[np.float32]:
         high = np.minimum(np.ceil((centre + reach + [width / 2, height / 2]) / step).astype(int), [columns, rows])
         x = (np.arange(low[0], high[0]) + 0.5) * step[0] - width / 2 - centre[0]
         y = (np.arange(low[1], high[1]) + 0.5) * step[1] - height / 2 - centre[1]
-        distance, angle = np.hypot(x, y[:, None]), np.arctan2(y[:, None], x)
-        edge = radius * (1 + np.real(np.exp(-1j * OUTLINE_HARMONICS * angle[..., None]) @ outline))
+        distance = np.maximum(np.hypot(x, y[:, None]), 1e-9)
+        # exp(-i φ), and its powers one after the other, for the harmonics follow each other: cheaper than exponentials of the angle.
+        turn = (x - 1j * y[:, None]) / distance
+        power, wave = turn ** int(OUTLINE_HARMONICS[0]), np.zeros(turn.shape, complex)
+        for amplitude in outline:
+            wave += amplitude * power
+            power *= turn
+        edge = radius * (1 + np.real(wave))
         # Anti-aliased: a straight edge through a texel covers it in proportion to its distance, within a texel's width.
         patch = coverage[low[1] : high[1], low[0] : high[0]]
         np.maximum(patch, np.clip((edge - distance) / step.mean() + 0.5, 0, 1), out=patch)

@@ -230,6 +230,38 @@ def test_markers_lie_where_projection_says(variant, monkeypatch):
         assert centroid_errors(centres, wrong.radiance(rest)).max() > 0.05
 
 
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.name)
+@pytest.mark.parametrize("markers", [Markers(jitter_mm=0.08, seed=5), Markers(layout="none")], ids=["other markers", "none"])
+def test_a_renderer_like_another_draws_the_same(variant, markers):
+    """What one episode's renderer hands to the next changes no bit, and what is the next one's own is not handed over."""
+    scene = marked_scene()
+    first = BakedRenderer(scene, linear_field(), variant)
+    drawn = first.radiance(dragged(scene))
+    brighter = replace(first._field, colours=1.5 * first._field.colours)
+    other = scene.replace(markers=markers, coating=replace(scene.coating, grain=0.01))
+    alone = BakedRenderer(other, brighter, variant).radiance(dragged(other))
+    assert np.array_equal(BakedRenderer(other, brighter, variant, like=first).radiance(dragged(other)), alone)
+    assert not np.array_equal(alone, drawn)
+    # Another table of light is no such scene: nothing of the first is used.
+    darker = replace(brighter, table=0.5 * brighter.table)
+    both = [BakedRenderer(other, darker, variant, like=like).radiance(dragged(other)) for like in (None, first)]
+    assert np.array_equal(*both) and not np.array_equal(both[0], alone)
+
+
+def test_means_over_boxes_and_values_between_texels():
+    values = np.random.default_rng(6).random(50).astype(np.float32)
+    box, step = 3.7, 2.3
+    means = baked._box_means(50, box, step) @ values
+    integral = np.concatenate([[0.0], np.cumsum(values)])
+    centres = (np.arange(22) + 0.5) * 50 / 22
+    ends = np.clip([centres - box / 2, centres + box / 2], 0, 50)
+    between = [np.interp(end, np.arange(51), integral) for end in ends]
+    # Five float32 products of numbers below 1.
+    assert means == pytest.approx((between[1] - between[0]) / (ends[1] - ends[0]), abs=5e-7)
+    fine = baked._linear_sampling(50, 90) @ values
+    assert fine == pytest.approx(np.interp((np.arange(90) + 0.5) / 1.8 - 0.5, np.arange(50), values), abs=5e-7)
+
+
 def test_running_minimum_is_the_same_by_both():
     values = np.random.default_rng(3).integers(0, 9, 7 * 50).astype(np.float32)
     kept = np.arange(7 * 50, dtype=np.float32)
