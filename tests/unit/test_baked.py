@@ -245,7 +245,7 @@ def test_a_renderer_like_another_draws_the_same(variant, markers):
     # Another table of light is no such scene: nothing of the first is used.
     darker = replace(brighter, table=0.5 * brighter.table)
     both = [BakedRenderer(other, darker, variant, like=like).radiance(dragged(other)) for like in (None, first)]
-    assert np.array_equal(*both) and not np.array_equal(both[0], alone)
+    assert np.array_equal(both[0], both[1]) and not np.array_equal(both[0], alone)
 
 
 def test_means_over_boxes_and_values_between_texels():
