@@ -41,7 +41,9 @@ from gelsim.scene import Scene
 
 MM = 1e3
 CELL = 0.2
-"""Of the grid of heights over the gel, for shadows and inter-reflection [mm]."""
+"""Of the grid over the gel for inter-reflection [mm]."""
+FINE_CELL = 0.1
+"""Of the grid of heights that cast shadows [mm]: cells of 0.2 cut a straight edge's top, and its shadow by 0.1 mm; 39 dB, now 43."""
 TEXELS_A_PIXEL = 3.0
 """Of grain and markers; at 320 × 240 a marker's edge was 18 levels off (99.9 % of the pixels) with 1.5, 10 with 4."""
 
@@ -160,20 +162,19 @@ class BakedRenderer:
         columns, rows = grid
         width, height = scene.render.resolution
         size = np.array(scene.gel.size_mm)
-        cells = int(np.ceil(size[0] / CELL)) + 1, int(np.ceil(size[1] / CELL)) + 1
+        cells, fine = ((int(np.ceil(size[0] / cell)) + 1, int(np.ceil(size[1] / cell)) + 1) for cell in (CELL, FINE_CELL))
         self._tables = {"field": put(_packed(light_field.table))}
         for name, (across, down, step) in {"full": (width, height, 1), "coarse": (*coarse_size(width, height), SHADE)}.items():
             column, row = np.meshgrid((np.arange(across) + 0.5) * step, (np.arange(down) + 0.5) * step)
             self._tables[name] = put(straight_rays(scene, column.ravel(), row.ravel()))
-        along = [np.linspace(-side / 2, side / 2, count) for side, count in zip(size, cells, strict=True)]
-        plumb = np.zeros((cells[1], cells[0], 4))
-        plumb[..., 0], plumb[..., 1] = np.meshgrid(*along)
-        self._tables["plumb"] = put(plumb)
+        for name, (across, down) in {"plumb": cells, "fine": fine}.items():
+            x, y = np.meshgrid(np.linspace(-size[0] / 2, size[0] / 2, across), np.linspace(-size[1] / 2, size[1] / 2, down))
+            self._tables[name] = put(np.stack([x, y, 0 * x, 0 * x], axis=-1))
         angles = (np.arange(DIRECTIONS) + 0.5) * 2 * np.pi / DIRECTIONS
         self._tables["directions"] = put(np.stack([np.cos(angles), np.sin(angles)], axis=1))
         pieces = light_pieces(scene) if self._shadows else np.zeros((0, 12))
         if len(pieces):
-            self._tables["polar"] = put(_polar_places(pieces, size, cells))
+            self._tables["polar"] = put(_polar_places(pieces, size, fine))
             self._tables["pieces"] = put(pieces)
         self._layout = Layout(
             width,
@@ -181,6 +182,8 @@ class BakedRenderer:
             columns,
             rows,
             cells,
+            viewed_cells(scene, cells),
+            fine,
             size.tolist(),
             len(pieces),
             self._indirect,
@@ -224,6 +227,18 @@ def straight_rays(scene: Scene, column: NDArray[np.floating], row: NDArray[np.fl
     slope = [direction[axis] / direction[2] for axis in (0, 1)]
     foot = [(origin[axis] - slope[axis] * origin[2]) * MM for axis in (0, 1)]
     return np.stack(np.broadcast_arrays(*foot, *slope), axis=-1)
+
+
+def viewed_cells(scene: Scene, cells: tuple[int, int]) -> tuple[int, int, int, int]:
+    """First column and row, columns and rows of the cells over the gel that hold all the camera's rays meet in it."""
+    width, height = scene.render.resolution
+    rim_column, rim_row = np.meshgrid(np.linspace(0, width, 9), np.linspace(0, height, 9))
+    rays = straight_rays(scene, rim_column.ravel(), rim_row.ravel())
+    met = np.concatenate([rays[:, :2] + rays[:, 2:] * z for z in (0.0, -scene.gel.thickness_mm)])
+    places = (met / scene.gel.size_mm + 0.5) * (np.array(cells) - 1)
+    first = np.clip(np.floor(places.min(axis=0)).astype(int) - 1, 0, np.array(cells) - 2)
+    last = np.clip(np.ceil(places.max(axis=0)).astype(int) + 1, first + 1, np.array(cells) - 1)
+    return int(first[0]), int(first[1]), *(int(count) for count in last - first + 1)  # type: ignore[return-value]
 
 
 def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:

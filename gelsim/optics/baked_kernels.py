@@ -17,7 +17,7 @@ from gelsim.optics.isp import Pipeline, develop_pixels, packed_bytes
 
 PIECES = 3
 """A light's long side is cut in so many for its soft shadow."""
-LINES, STEPS = 96, 112
+LINES, STEPS = 128, 160
 """Of the polar grid about a piece of a light."""
 DIRECTIONS = 8
 REACHES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33)
@@ -40,7 +40,11 @@ class Layout:
     """Of the membrane's grid."""
     rows: int
     cells: tuple[int, int]
-    """Of the grid of heights: columns, rows."""
+    """Of the grid for inter-reflection: columns, rows."""
+    viewed: tuple[int, int, int, int]
+    """Of that grid what the camera can see: first column and row, columns, rows."""
+    fine: tuple[int, int]
+    """Of the grid of heights that cast shadows."""
     size: list[float]
     """Of the gel."""
     samples: int
@@ -82,13 +86,15 @@ class _Seen:
 def draw(ar: Arrays, st: Layout, t: dict[str, Values], places: Values, normals: Values, keys: Values | None, frames: int) -> tuple:
     """Red, green, blue and z [m] of every pixel; and, with `keys` of the frames' noise, the 8-bit pictures as `packed_bytes`, else None."""
     # Over the gel, seen along z: heights, and what light does there.
-    cells = st.cells[0] * st.cells[1]
-    frame, cell = _lanes(ar, frames, cells)
-    plumb = ar.packet(t["plumb"], cell, 4)
-    below = _meet(ar, st, places, normals, frame, plumb, None, NEWTON_STEPS)
-    horizons = _horizons(ar, st, t, below.z, frames) if st.samples else None
-    arriving = None
+    horizons = arriving = None
+    if st.samples:
+        frame, cell = _lanes(ar, frames, st.fine[0] * st.fine[1])
+        heights = _meet(ar, st, places, normals, frame, ar.packet(t["fine"], cell, 4), None, NEWTON_STEPS).z
+        horizons = _horizons(ar, st, t, heights, frames)
     if st.indirect:
+        cells = st.cells[0] * st.cells[1]
+        frame, cell = _lanes(ar, frames, cells)
+        below = _meet(ar, st, places, normals, frame, ar.packet(t["plumb"], cell, 4), None, NEWTON_STEPS)
         lit = _local(ar, st, t, below)
         if horizons is not None:
             visible = _visible(ar, st, t, horizons, frames, cells, below)
@@ -122,7 +128,8 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Values], places: Values, normals: 
     if arriving is not None:
         u = (seen.x * (1 / st.size[0]) + 0.5) * float(st.cells[0] - 1)
         v = (seen.y * (1 / st.size[1]) + 0.5) * float(st.cells[1] - 1)
-        more = _mix(ar, arriving, _corners(ar, u, v, *st.cells, frame * cells), 4)
+        first_column, first_row, columns, rows = st.viewed
+        more = _mix(ar, arriving, _corners(ar, u - first_column, v - first_row, columns, rows, frame * (columns * rows)), 4)
         colour = [colour[i] + more[i] for i in range(3)]
     if st.texels[0]:
         columns, rows = st.texels
@@ -221,11 +228,11 @@ def _normal_place(st: Layout, seen: _Seen) -> tuple[Values, Values]:
     return (seen.nx * (1 / st.normals) + 1.0) * scale, (seen.ny * (1 / st.normals) + 1.0) * scale
 
 
-def _place(st: Layout, seen: _Seen) -> tuple[Values, Values]:
+def _place(st: Layout, x: Values, y: Values) -> tuple[Values, Values]:
     """In the table's nodes of x and y."""
     _, rows, columns, _, _, _ = st.field_shape
     (x0, x1), (y0, y1) = st.places
-    return (seen.x - x0) * ((columns - 1) / (x1 - x0)), (seen.y - y0) * ((rows - 1) / (y1 - y0))
+    return (x - x0) * ((columns - 1) / (x1 - x0)), (y - y0) * ((rows - 1) / (y1 - y0))
 
 
 def _local(ar: Arrays, st: Layout, t: dict[str, Values], seen: _Seen) -> list[Values]:
@@ -237,7 +244,9 @@ def _local(ar: Arrays, st: Layout, t: dict[str, Values], seen: _Seen) -> list[Va
     # The simplex of five nodes that holds the place, not all sixteen about it: corners in the order in which the diagonal passes them.
     strides = (1, size, size * size, size * size * columns)
     at, order = 0, []
-    for place, count, stride in zip((*_normal_place(st, seen), *_place(st, seen)), (size, size, columns, rows), strides, strict=True):
+    for place, count, stride in zip(
+        (*_normal_place(st, seen), *_place(st, seen.x, seen.y)), (size, size, columns, rows), strides, strict=True
+    ):
         place = _clip(ar, place, 0.0, count - 1.0)
         first = ar.whole(_clip(ar, place, 0.0, count - 2.0))
         at = at + first * stride
@@ -277,7 +286,7 @@ def _horizons(ar: Arrays, st: Layout, t: dict[str, Values], heights: Values, fra
     line = lane - step * (frames * lines)
     frame = line // lines
     at = ar.packet(t["polar"], step * lines + (line - frame * lines), 4)
-    z = _mix_values(ar, heights, _corners(ar, at[0], at[1], *st.cells, frame * (st.cells[0] * st.cells[1])))
+    z = _mix_values(ar, heights, _corners(ar, at[0], at[1], *st.fine, frame * (st.fine[0] * st.fine[1])))
     return ar.running_minimum(ar.select(at[0] < -1.0, FAR, (z - at[2]) * at[3]), at[3], frames * lines, STEPS)
 
 
@@ -336,18 +345,20 @@ def _light_slots(lights: int) -> int:
 
 
 def _arriving(ar: Arrays, st: Layout, t: dict[str, Values], below: _Seen, colour: list[Values], frames: int) -> Values:
-    """Radiance by channel that light from other parts of the membrane adds, on the grid of heights; in fours, the fourth unused."""
+    """Radiance by channel that light from other parts of the membrane adds, where the camera sees; in fours, the fourth unused."""
     columns, rows = st.cells
-    cells = columns * rows
+    first_column, first_row, across, down = st.viewed
+    cells, viewed = columns * rows, across * down
     sources = ar.interleave([below.z, *(ar.maximum(a, 0.0) for a in colour)])
     tilts = ar.interleave([below.nx, below.ny, below.nz, below.z])
-    frame, rest = _lanes(ar, frames, cells * DIRECTIONS)
-    cell = rest // DIRECTIONS
-    direction = rest - cell * DIRECTIONS
+    frame, rest = _lanes(ar, frames, viewed * DIRECTIONS)
+    spot = rest // DIRECTIONS
+    direction = rest - spot * DIRECTIONS
     turn = 2 * np.pi / DIRECTIONS
-    row = cell // columns
-    column = cell - row * columns
-    nx, ny, nz, z = ar.packet(tilts, frame * cells + cell, 4)
+    row = spot // across
+    column = spot - row * across + first_column
+    row = row + first_row
+    nx, ny, nz, z = ar.packet(tilts, frame * cells + row * columns + column, 4)
     offsets = ar.packet(t["directions"], direction, 2)
     # The normal into the gel, its part along the direction and its part up (-z): the tangent plane's elevation is -forward / up.
     forward = -(nx * offsets[0] + ny * offsets[1])
@@ -370,12 +381,15 @@ def _arriving(ar: Arrays, st: Layout, t: dict[str, Values], below: _Seen, colour
             totals[channel] = totals[channel] + ar.select(seen, (view - covered) * other[1 + channel], 0.0)
         covered = view
     slices = ar.interleave([*totals, totals[0] * 0.0])
-    frame, cell = _lanes(ar, frames, cells)
-    first = (frame * cells + cell) * DIRECTIONS
+    frame, spot = _lanes(ar, frames, viewed)
+    first = (frame * viewed + spot) * DIRECTIONS
     parts = [ar.packet(slices, first + k, 4) for k in range(DIRECTIONS)]
-    _, rows, columns, _, _, _ = st.field_shape
-    veil = _mix(ar, t["veil"], _corners(ar, *_place(st, below), columns, rows, cell * 0), 4)
-    zero = cell * 0
+    zero = spot * 0
+    row = spot // across
+    x = (ar.real(spot - row * across + first_column) * (1 / (columns - 1)) - 0.5) * st.size[0]
+    y = (ar.real(row + first_row) * (1 / (rows - 1)) - 0.5) * st.size[1]
+    _, places_down, places_across, _, _, _ = st.field_shape
+    veil = _mix(ar, t["veil"], _corners(ar, *_place(st, x, y), places_across, places_down, zero), 4)
     scale = turn / np.pi
     added = [sum((p[i] for p in parts[1:]), parts[0][i]) * (scale * ar.gather(t["gains"], zero + i)) + veil[i] for i in range(3)]
     return ar.interleave([*added, parts[0][3]])
