@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from gelsim import pipeline
 from gelsim.errors import SolveError
-from gelsim.optics import choose_variant, light_field
+from gelsim.optics import choose_variant, light_field, render_frames
 from gelsim.optics.bake import UNSEEN, colour_difference
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.isp import develop
@@ -150,12 +150,18 @@ def psnr(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
 
 
 def speed(sensor: str, resolution: tuple[int, int], device: str, batch: int, repeats: int = 30) -> dict[str, float]:
-    """Milliseconds a frame: launch alone (membranes on the device), with upload and download, and to 8 bits; best and median."""
+    """Milliseconds a frame, best and median.
+
+    Launch alone (membranes on the device); with upload and linear picture and heights on the host; the same with the 8-bit picture, its
+    noise drawn; and frames of a video as `render_frames` yields them, marker centres included, one prepared while another is drawn.
+    """
     import drjit as dr
 
     variant = choose_variant(device)
     scene = sensor_scene(sensor, resolution)
-    renderer = BakedRenderer(scene, light_field(scene, variant), variant)
+    scene = scene.replace(camera=replace(scene.camera, noise_sd=(2.0, 2.0, 2.0)))
+    field = light_field(scene, variant)
+    renderer = BakedRenderer(scene, field, variant)
     membranes = [dented_membrane(scene, UNSEEN + number) for number in range(batch)]
     uploaded = renderer.upload(membranes)
 
@@ -167,11 +173,17 @@ def speed(sensor: str, resolution: tuple[int, int], device: str, batch: int, rep
         renderer.pictures(membranes)
 
     def to_bits() -> None:
-        for index, (radiance, _) in enumerate(renderer.pictures(membranes)):
-            develop(scene, radiance, index)
+        renderer.frames(membranes)
+
+    video = [dented_membrane(scene, UNSEEN + number) for number in range(10)]
+
+    def whole_frames() -> None:
+        for _ in render_frames(scene, video, variant=variant, light_field=field, renderer=renderer):
+            pass
 
     result: dict[str, float] = {"batch": batch}
-    for name, work in {"launch": launch, "radiance": whole, "image": to_bits}.items():
+    works = {"launch": (launch, batch), "radiance": (whole, batch), "image": (to_bits, batch), "video": (whole_frames, len(video))}
+    for name, (work, frames) in works.items():
         for _ in range(3):  # the first traces and compiles
             work()
         seconds = []
@@ -179,7 +191,7 @@ def speed(sensor: str, resolution: tuple[int, int], device: str, batch: int, rep
             start = time.perf_counter()
             work()
             seconds.append(time.perf_counter() - start)
-        result |= {f"{name}_ms": 1e3 * min(seconds) / batch, f"{name}_median_ms": 1e3 * float(np.median(seconds)) / batch}
+        result |= {f"{name}_ms": 1e3 * min(seconds) / frames, f"{name}_median_ms": 1e3 * float(np.median(seconds)) / frames}
     result["launch_per_second"] = 1e3 / result["launch_median_ms"]
     print(variant.name, sensor, resolution, {key: round(value, 3) for key, value in result.items()}, flush=True)
     return result

@@ -2,11 +2,14 @@
 
     python docs/studies/optics_speed.py --device cuda                     # 640x480, under a minute and a half on a GPU (without a bake)
     python docs/studies/optics_speed.py --device cpu --resolution 160x120
+    python docs/studies/optics_speed.py --device cuda --video             # the last table alone, under a minute
 
 *Whole.* `Renderer.radiance`: membrane to the device, picture back, each frame. *Parts.* The same with a part switched off, or a part
 alone; each ends with a wait for the device. *Baked.* From the cache, or measured first. With `upload` the membrane goes to the device
 and the picture comes back, each frame; with `launch` the membranes are there, and each frame is waited for; `in flight` 32 of them a
 launch.
+*Video.* Frames as `render_frames` yields them: membrane to the device, linear and 8-bit picture, heights and marker centres back, a new
+membrane each frame, the next prepared while one is drawn.
 The table of all modes with their errors is `gelsim bench --only optics`.
 """
 
@@ -21,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from gelsim.bench.optics import DENT, bench_scene, seconds_a_call
-from gelsim.optics import bake, choose_variant
+from gelsim.optics import bake, choose_variant, render_frames
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.probes import dented_membrane
 from gelsim.optics.render import Renderer
@@ -82,6 +85,23 @@ def traced(variant: Any, size: tuple[int, int], membrane: Any) -> None:
     print("", flush=True)
 
 
+def video(variant: Any, size: tuple[int, int], count: int = 16) -> None:
+    membranes = [dented_membrane(bench_scene(size), DENT + number % 4) for number in range(count)]
+    print("| video | ms a frame | frames a second | |\n|---|---|---|---|", flush=True)
+    settings = [("path", 64), ("path", 16), ("direct", 64)]
+    if bake.field_path(bench_scene(size)).exists():
+        settings.append(("baked", 1))
+    for mode, spp in settings:
+        scene = bench_scene(size, mode, spp)
+        renderer = BakedRenderer(scene, bake.light_field(scene, variant), variant) if mode == "baked" else Renderer(scene, variant)
+
+        def draw(scene: Any = scene, renderer: Any = renderer) -> None:
+            for _ in render_frames(scene, membranes, variant=variant, renderer=renderer):
+                pass
+
+        say(f"{mode}, {spp}", draw, frames=count)
+
+
 def baked(variant: Any, size: tuple[int, int], membrane: Any) -> None:
     import drjit as dr
 
@@ -109,11 +129,17 @@ if __name__ == "__main__":
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
     parser.add_argument("--resolution", default="640x480")
     parser.add_argument("--no-baked", action="store_true", help="leave out the light field, which may have to be measured first")
+    parser.add_argument("--video", action="store_true", help="whole frames alone; baked if its light field is in the cache")
     given = parser.parse_args()
     width, height = map(int, given.resolution.split("x"))
     choice = choose_variant(given.device)
+    if given.video:
+        print(f"{choice.name}, {width} x {height}\n")
+        video(choice, (width, height))
+        raise SystemExit
     print(f"{choice.name}, {width} x {height}\n\n| traced | ms | a second | |\n|---|---|---|---|", flush=True)
     surface = dented_membrane(bench_scene((width, height)), DENT)
     traced(choice, (width, height), surface)
     if not given.no_baked:
         baked(choice, (width, height), surface)
+    video(choice, (width, height))

@@ -63,16 +63,14 @@ def grain_pattern(scene: Scene) -> NDArray[np.float32]:
 
 
 @functools.cache
-def flake_albedo(roughness: float, count: int = 400_000) -> float:
+def flake_albedo(roughness: float, count: int = 64) -> float:
     """Share of a white sky that lossless flakes reflect into all directions together (they reflect once).
 
     A facet of slope (x, y) is seen from a direction v with the density D max(v·h, 0) G1 / (v·n); what it reflects to l escapes with G1(l).
-    Quasi-random mean over the cosine of v, facets drawn from D cos: good to about 0.001.
+    Weighed by the cosine of v, mean over it and over facets drawn from D cos, by the midpoint rule: good to about 0.0005.
     """
-    from scipy.stats import qmc
-
-    cosine_squared, share, turn = qmc.Sobol(3, rng=0).random_base2(int(np.ceil(np.log2(count)))).T
-    cosine = np.sqrt(cosine_squared)
+    middles = (np.arange(count) + 0.5) / count
+    cosine, share, turn = (axis.ravel() for axis in np.meshgrid(middles, middles, middles))
     seen = np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
     # D cos has the distribution function t/(t + α²) of t = tan².
     tangent = roughness * np.sqrt(share / (1 - share))
@@ -84,7 +82,7 @@ def flake_albedo(roughness: float, count: int = 400_000) -> float:
     def escape(cos: NDArray) -> NDArray:
         return 2 * cos / (cos + np.sqrt(roughness**2 + (1 - roughness**2) * cos**2))
 
-    weight = facing * escape(cosine) * escape(np.clip(out[:, 2], 0, None)) / (cosine * facet[:, 2])
+    weight = 2 * facing * escape(cosine) * escape(np.clip(out[:, 2], 0, None)) / facet[:, 2]
     return float(np.mean(np.where((facing > 0) & (out[:, 2] > 0), weight, 0.0)))
 
 

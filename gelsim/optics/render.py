@@ -19,6 +19,7 @@ from gelsim.optics.arrays import choose_arrays
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.camera import height_map, marker_pixels
 from gelsim.optics.isp import Developer, as_picture, develop
+from gelsim.optics.lighting import check_lights
 from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
 from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import VariantChoice, choose_variant, use_variant
@@ -34,6 +35,7 @@ def render_frames(
     device: str = "auto",
     variant: VariantChoice | None = None,
     light_field: LightField | None = None,
+    renderer: BakedRenderer | Renderer | None = None,
 ) -> Iterator[Frame]:
     """The sensor's picture of each membrane, one at a time.
 
@@ -44,19 +46,22 @@ def render_frames(
         device: "auto" | "cpu" | "cuda", see `choose_variant`.
         variant: Overrides the choice.
         light_field: The scene's, for mode "baked"; from the cache, or measured first, if not given.
+        renderer: The scene's, if it was made before.
     Raises:
         SceneError: A field that cannot be drawn; before the first frame.
         RenderError: The device cannot render.
     """
     chosen = variant or choose_variant(device)
     scene, _ = bake.settle_mode(scene)
-    if scene.render.mode == "baked":
-        renderer = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen)
+    if renderer is not None:
+        drawer: Any = renderer
+    elif scene.render.mode == "baked":
+        drawer = BakedRenderer(scene, light_field or bake.light_field(scene, chosen), chosen)
     else:
-        renderer = Renderer(scene, chosen)
+        drawer = Renderer(scene, chosen)
 
     def finished(index: int, drawn: Any) -> Frame:
-        radiance, image, height = renderer.fetch(drawn)
+        radiance, image, height = drawer.fetch(drawn)
         frame = Frame(radiance, image, height, marker_pixels(scene, membranes[index]))
         if progress:
             progress(index + 1, len(membranes))
@@ -65,7 +70,7 @@ def render_frames(
     # While the device draws one frame, the next is prepared here.
     waiting: Any = None
     for index, membrane in enumerate(membranes):
-        following = renderer.enqueue(membrane, index)
+        following = drawer.enqueue(membrane, index)
         if index:
             yield finished(index - 1, waiting)
         waiting = following
@@ -87,10 +92,10 @@ class Renderer:
 
     def __init__(self, scene: Scene, variant: VariantChoice) -> None:
         mi = use_variant(variant)
-        parts = scene_dict(scene)
+        check_lights(scene)
         self._scene = scene
         if variant.name.startswith("scalar"):
-            self._scalar = ScalarRenderer(mi, scene, parts)
+            self._scalar = ScalarRenderer(mi, scene, scene_dict(scene))
         else:
             self._scalar = None
             self._tracer = Tracer(mi, scene, scene.render.spp)
