@@ -106,7 +106,7 @@ def cost(rows: Sequence[Row], facts: Mapping[str, Any]) -> str:
 def _short(study: Study, rows: Sequence[Row], facts: Mapping[str, Any]) -> str:
     failed = "".join(f"\n- failed: {item['case']}: {item['message']}" for item in facts["failed"])
     return (
-        f"## {study.name}\n\n**{study.question}**\n\n{facts['answer']}\n\n![{study.name}](images/study_{study.name}.png)\n\n"
+        f"## {study.name}\n\n**{study.question}**\n\n{facts['answer']}\n\n![{study.name}]({PICTURE})\n\n"
         f"    {facts['command']}\n\n{cost(rows, facts)}.\n\n{study.method}\n{failed}"
     )
 

@@ -132,6 +132,7 @@ def test_the_page_holds_all_and_needs_nothing(tmp_path: Path, letters: list[floa
     page = (out / "index.html").read_text()
     assert "&lt;b&gt;stiffer&lt;/b&gt;" in page and "gelsim study own.toml" in page and "hemisphere" in page
     assert re.findall(r'(?:src|href)="([^,"]*)', page) == ["data:image/png;base64"]
+    assert "](study.png)" in (out / "study.md").read_text()
     assert (out / "study.png").stat().st_size < 150_000
     assert (out / "study.csv").read_text().splitlines()[0] == "gel.shore_00,object.radius_mm,status,message,letters,seconds,load"
     assert len((out / "study.csv").read_text().splitlines()) == 7
