@@ -1,4 +1,4 @@
-"""What a build of the site (`make docs`) does not see: names that an API page asks for in vain, and links of the README."""
+"""What a build of the site (`make docs`) does not see: members of an API page and parameters of a docstring that are not, README links."""
 
 from __future__ import annotations
 
@@ -28,6 +28,32 @@ def test_api_pages_name_what_there_is() -> None:
     )
     assert {name: list(missing_names(page)) for name, page in pages.items() if list(missing_names(page))} == {}
     assert list(missing_names("::: gelsim.pipeline\n    options:\n      members: [press, presss]")) == ["gelsim.pipeline.presss"]
+
+
+def unknown_parameters(source: str) -> Iterator[str]:
+    """Names in the Args of docstrings that their function does not take; "a, b: ..." speaks of two."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.ClassDef) or "Args:\n" not in (text := ast.get_docstring(node) or ""):
+            continue
+        made = next((part for part in node.body if isinstance(part, ast.FunctionDef) and part.name == "__init__"), None)
+        function = node if isinstance(node, ast.FunctionDef) else made
+        if function is None:  # a dataclass: its fields are its parameters
+            taken = {part.target.id for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name)}
+        else:
+            given = function.args
+            taken = {part.arg for part in (*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg) if part}
+        section = re.split(r"^\S", text.split("Args:\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
+        told = re.findall(r"^ {4}\*{0,2}(\w+(?:, \w+)*): ", section, re.MULTILINE)
+        yield from (f"{node.name}: {name}" for line in told for name in line.split(", ") if name not in taken)
+
+
+def test_documented_parameters_exist() -> None:
+    paths = sorted(path for package in ("gelsim", "learn") for path in (ROOT / package).rglob("*.py"))
+    found = {path.name: list(unknown_parameters(path.read_text(encoding="utf-8"))) for path in paths}
+    assert {name: wrong for name, wrong in found.items() if wrong} == {}
+    text = "Does.\n\n    Args:\n        a, c: Both.\n            more: words\n        b: It.\n    Returns:\n        d: e\n    "
+    faulty = f'def f(a, *, b):\n    """{text}"""\n'
+    assert list(unknown_parameters(faulty)) == ["f: c"]
 
 
 def test_the_readme_points_at_what_there_is() -> None:
