@@ -1,0 +1,76 @@
+"""The gallery and the examples belong together, and the short examples run and say what physics says."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+LARGEST = 150_000
+"""Bytes of a picture that an example of the gallery made (the README's two are larger, and older)."""
+
+
+def quick(repository: Path, name: str, picture: Path) -> Any:
+    """What an example returns; its picture is written."""
+    found = runpy.run_path(str(repository / "docs" / "examples" / f"{name}.py"))["main"](quick=True, path=picture)
+    assert picture.stat().st_size > 1000
+    return found
+
+
+def test_every_example_is_in_the_gallery_with_its_code_and_picture(repository: Path) -> None:
+    docs = repository / "docs"
+    sections = (docs / "gallery.md").read_text(encoding="utf-8").split("\n## ")[1:]
+    shown = {}
+    for section in sections:
+        (name,) = re.findall(r"^    python docs/examples/(\w+)\.py$", section, re.MULTILINE)
+        (code,) = re.findall(r"```python\n(.*?)\n```", section, re.DOTALL)
+        shown[name] = code, re.findall(r"!\[[^\]]+\]\((images/[\w.]+)\)", section)
+    assert set(shown) == {path.stem for path in (docs / "examples").glob("*.py")} and len(shown) == len(sections)
+    for name, (code, pictures) in shown.items():
+        source = (docs / "examples" / f"{name}.py").read_text(encoding="utf-8")
+        assert any(textwrap.indent(code, " " * depth) in source for depth in (4, 8)), f"{name}: the gallery shows other code"
+        for picture in pictures:
+            assert Path(picture).name in source, f"{name} does not make {picture}"
+            assert (docs / picture).stat().st_size < LARGEST or Path(picture).name in ("sheet.png", "shore_series.png")
+    made = {path.name for path in (docs / "images").glob("gallery_*")}
+    assert made == {Path(picture).name for _, pictures in shown.values() for picture in pictures if "gallery_" in picture}
+
+
+def test_force_curves(repository: Path, tmp_path: Path) -> None:
+    force = quick(repository, "force_curves", tmp_path / "a.png")
+    # Springs in series: an object of 00-10 (44 kPa) on a gel of 60 kPa leaves the gel 44/104 of the way; less, as the bonded gel is stiffer
+    # than its modulus says. A ball's force grows with the way's power of 1.5 at least.
+    assert 0.01 * force["rigid"] < force[10] < (44 / 104) ** 1.5 * force["rigid"]
+
+
+def test_relaxation(repository: Path, tmp_path: Path) -> None:
+    (slow_end, slow_held), (fast_end, fast_held) = quick(repository, "relaxation", tmp_path / "a.png").values()
+    # 0.5 mm at 20 mm/s is 0.025 s, a twentieth of the time constant: nothing has relaxed; four time constants later 40 % have, but for
+    # 0.4 e^-4 = 0.007. At 0.2 mm/s, five time constants, most has relaxed on the way.
+    assert fast_held / fast_end == pytest.approx(0.6 + 0.007, abs=0.02)
+    assert fast_held == pytest.approx(slow_held, rel=0.02) and slow_end < 0.8 * fast_end
+
+
+@pytest.mark.slow
+def test_first_press(repository: Path, tmp_path: Path) -> None:
+    found = quick(repository, "first_press", tmp_path / "a.jpg")
+    # 1 mm is shared by gel and object: the membrane goes less deep, but not by nothing.
+    assert 0.1 < found["dent_mm"] < 0.9 and found["force_n"] > 0
+
+
+@pytest.mark.slow
+def test_shear_markers(repository: Path, tmp_path: Path) -> None:
+    pressed, dragged = quick(repository, "shear_markers", tmp_path / "a.jpg").values()
+    # 80 pixels are 18.4 mm. Pressed alone, the mean way is none; dragged by 0.5 mm, below 2.2 px, it is along x.
+    assert abs(pressed[0]) < 0.02 and abs(pressed[1]) < 0.02
+    assert 0.1 < dragged[0] < 2.2 and abs(dragged[1]) < 0.1 * dragged[0]
+
+
+@pytest.mark.slow
+def test_sensors(repository: Path, tmp_path: Path) -> None:
+    (force,) = quick(repository, "sensors", tmp_path / "a.jpg").values()
+    assert force > 0
