@@ -151,6 +151,10 @@ class SymmetricSystem:
     # Friction couples few points: a handful of iterations. Where they fall short the step is inexact, and Newton corrects it.
     KRYLOV_TOLERANCE = 1e-3
     KRYLOV_LIMIT = 12
+    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
+    # factors. On one core, in three dimensions, these cost 20 to 40 products.
+    FORCING = 0.03
+    WORN = 9
     # |b - Kx|/|b| that an answer in float32 may have: 1e-6 to 8e-6 over the stability suite. One matrix of its cone had 9e-5, and Newton
     # took another path from there.
     POOR = 1e-5
@@ -159,24 +163,33 @@ class SymmetricSystem:
     def __init__(self) -> None:
         self.direct = make_solver(single=_single.get())
         self.factorisations = self.solves = 0
-        self.factored = False
+        self.factored = self._fresh = self._worn = False
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern."""
         self._pattern = (indices, indptr)
         self.direct.analyse(indptr, indices, np.zeros(len(indices)))
-        self.factored = False
+        self.factored = self._fresh = self._worn = False
+
+    def update(self, values: NDArray[np.float64]) -> None:
+        """Takes a new matrix; the factors stay those of an earlier one."""
+        self._values, self._fresh = values, False
+        indices, indptr = self._pattern
+        upper = sp.csr_matrix((values, indices, indptr), shape=(len(indptr) - 1,) * 2)
+        self._matrix = upper, upper.T, upper.diagonal()
 
     def factorise(self, values: NDArray[np.float64]) -> None:
-        self._values = values
+        """Takes a new matrix, and its factors."""
+        self.update(values)
         self.direct.factorise(values)
         self.factorisations += 1
-        self.factored, self._checked = True, not self.direct.single
+        self.factored = self._fresh = True
+        self._worn, self._checked = False, not self.direct.single
 
     def product(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """K x of the matrix factorised last."""
-        upper = sp.csr_matrix((self._values, *self._pattern), shape=(len(x), len(x)))
-        return upper @ x + upper.T @ x - upper.diagonal() * x
+        """K x of the last matrix."""
+        upper, lower, diagonal = self._matrix
+        return upper @ x + lower @ x - diagonal * x
 
     def _direct(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
         """K⁻¹ b. A factor in float32 is judged by its first answer, which is refined or, where that does not help, had from float64."""
@@ -198,6 +211,29 @@ class SymmetricSystem:
         self.direct.analyse(indptr, indices, self._values)
         self.factorise(self._values)
         return self._direct(b)
+
+    def step(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None, exact: bool) -> NDArray[np.float64]:
+        """x of the last K as Newton needs it: roughly, by GMRES on factors of an earlier K, or as `solve` on new ones.
+
+        New ones are made where there are none, where the last step wore them out, where GMRES falls short, and where `exact` asks for it.
+        """
+        if self._fresh:
+            return self.solve(b, coupling)
+        if self.factored and not self._worn and not exact:
+            before, start = self.solves, self.direct.solve(b)
+
+            def preconditioned(v: NDArray[np.float64]) -> NDArray[np.float64]:
+                self.solves += 1
+                product = self.product(v)
+                return self.direct.solve(product if coupling is None else product + coupling[0].T @ (coupling[1] @ v))
+
+            operator = LinearOperator((len(b), len(b)), matvec=preconditioned)  # type: ignore[call-arg]
+            x, failed = gmres(operator, start, rtol=self.FORCING, restart=self.KRYLOV_LIMIT, maxiter=1)
+            self._worn = self.solves - before > self.WORN
+            if not failed:
+                return x
+        self.factorise(self._values)
+        return self.solve(b, coupling)
 
     def solve(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""

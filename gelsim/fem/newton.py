@@ -1,6 +1,7 @@
 """Newton's method on the mixed equations of `Solids` with contact: residual, matrix, step, and why it stopped.
 
-One iteration finds the contact of the current positions, assembles, factorises and steps. Contact that opens and closes makes full steps
+One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
+(linear.py). Contact that opens and closes makes full steps
 cycle: a line search on the work of the unbalanced forces along the step cuts them where they overshoot. Converged means: forces balance to
 `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
 
@@ -18,9 +19,10 @@ from gelsim.fem.contact import SurfaceContact
 from gelsim.fem.linear import SymmetricSystem
 from gelsim.fem.pattern import SymmetricPattern, build_pattern, pair_keys
 
-# A step on the last factorisation costs a tenth of a new one. It is taken below this residual while the steps shrink it by so much.
+# A step with the last matrix saves its assembly. It is taken below this residual while the steps shrink it by so much.
 CHORD_BELOW = 0.05
 CHORD_DROP = 0.3
+EXACT_AFTER = 6  # iterations with rough steps (SymmetricSystem.step); where that was not enough, steps are exact
 FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
 MAX_LINE_SEARCH = 8
 LINE_SEARCH_DROP = 0.8  # the slope along the step must shrink to this share
@@ -96,7 +98,7 @@ class Newton:
                 if self.contact.add_tangent(self.x, self.pattern.pairs, values, geometric):
                     solids.add_tangent(self.pattern.pairs, values)
                     return values.numpy()  # type: ignore[return-value]
-            gel, body = self.contact.node_pairs(margin=0.2)
+            gel, body = self.contact.node_pairs(margin=0.4)
             keys = np.union1d(solids.keys, pair_keys(gel, body, solids.node_count))
             self.pattern = build_pattern(solids.free, keys, solids.device)
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
@@ -164,10 +166,10 @@ class Newton:
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
             if not chord:
-                self.system.factorise(self.tangent(near))
+                self.system.update(self.tangent(near))
             before = size
             coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
-            step = self.system.solve(-residual.equations, coupling)
+            step = self.system.step(-residual.equations, coupling, exact=iteration >= EXACT_AFTER)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
             trial, _ = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)
