@@ -29,7 +29,7 @@ from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, dump_scene, scene_table
 from gelsim.units import MM
 
-STATES = 12
+STATES = 8
 """Solved states of the expected travel, and at most three times as many where it is longer than that (docs/datasets.md: what for)."""
 LONGEST = 60
 """Frames of a slow robot's press at most."""

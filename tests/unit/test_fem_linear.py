@@ -125,6 +125,51 @@ def test_system_with_the_unsymmetric_part_of_friction() -> None:
     assert np.linalg.norm(system.product(plain) - whole @ plain) <= 1e-12 * np.linalg.norm(right)
 
 
+def test_rough_steps_on_factors_of_an_earlier_matrix() -> None:
+    """GMRES on old factors answers a matrix near theirs; far from theirs new ones are made, and after a laborious step for the next."""
+    solids = small_solids()
+    pattern = build_pattern(solids.free, solids.keys, "cpu")
+    values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
+    solids.add_tangent(pattern.pairs, values)
+    first = values.numpy()
+    rng = np.random.default_rng(4)
+    none = sp.csr_matrix((0, pattern.size))
+
+    def whole(values: np.ndarray) -> np.ndarray:
+        upper = sp.csr_matrix((values, pattern.indices, pattern.indptr), shape=(pattern.size, pattern.size)).toarray()
+        return upper + np.triu(upper, 1).T
+
+    right = whole(first) @ rng.standard_normal(pattern.size)
+    with float64_factors():
+        system = SymmetricSystem()
+    system.analyse(pattern.indptr, pattern.indices)
+    system.update(first)
+    system.step(right, (none, none), exact=False)
+    assert system.factorisations == 1, "there were no factors"
+
+    diagonal = pattern.indptr[:-1]
+    near = first.copy()
+    near[diagonal[np.argsort(first[diagonal])[-3:]]] *= 3.0  # of rank 3: four products at most
+    system.update(near)
+    x = system.step(right, None, exact=False)
+    assert system.factorisations == 1
+    # what is left, seen through the old factors
+    old = np.linalg.inv(whole(first))
+    assert np.linalg.norm(old @ (right - whole(near) @ x)) <= 1.01 * SymmetricSystem.FORCING * np.linalg.norm(old @ right)
+    assert np.linalg.norm(old @ (right - whole(near) @ (old @ right))) > 0.1 * np.linalg.norm(old @ right), "the old answer would have done"
+
+    exact = np.linalg.solve(whole(near), right)
+    assert np.linalg.norm(system.step(right, None, exact=True) - exact) <= 1e-9 * np.linalg.norm(exact)
+    assert system.factorisations == 2
+
+    far = first.copy()
+    far[diagonal] *= np.geomspace(1.0, 1e3, pattern.size)
+    system.update(far)
+    x = system.step(right, None, exact=False)
+    assert system.factorisations == 3, "GMRES cannot have got there in twelve steps"
+    assert np.linalg.norm(whole(far) @ x - right) <= 1e-9 * np.linalg.norm(whole(far), 2) * np.linalg.norm(x)
+
+
 @needs_mkl
 def test_float32_factors_are_backward_stable() -> None:
     solids = small_solids(0.4999)
