@@ -217,7 +217,9 @@ class _March:
             report = yield Request(reach)
             self._count(report)
             last, overlap = overlap, -float(contact.gap.numpy().min())
-            if overlap <= OVERLAP_MM[problem.scene.fidelity] or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
+            if (
+                overlap <= OVERLAP_MM[problem.scene.fidelity] or overlap > 0.7 * last
+            ):  # where a sharp edge cuts in, linear multipliers cannot do better
                 break
         if report.status is SolveStatus.CONVERGED:
             return True

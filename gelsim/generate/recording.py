@@ -1,6 +1,6 @@
 """From a plan's press to its episodes: the mechanics once, then for each end point a trajectory in time, frames and labels.
 
-*Press.* Solved until the force or the depth that was drawn, in states about a dozenth of the expected travel apart (`expected_travel`), and
+*Press.* Solved until the force or the depth that was drawn, in states about an eighth of the expected travel apart (`expected_travel`), and
 kept as a `gelsim.motion` archive. An end point on the way is a shorter press: the path to it is the same, tangential travel included.
 
 *Trajectory.* Frames at the camera's rate. The robot closes at constant speed from a random phase of the frame clock, and stays where it
