@@ -168,12 +168,13 @@ def _parser() -> Parser:
     durometer.add_argument("--out", metavar="DIR", help="without a value: where durometer-SCALE.csv and .png go (default: only shown)")
     _add_output_flags(durometer, _durometer)
     dataset = commands.add_parser("dataset", help="many episodes of a plan, for learning", epilog=DATASET_EXAMPLES)
-    dataset.add_argument("--plan", metavar="NAME", default="paper2017", help="a plan, or the path of a TOML file (default: paper2017)")
+    dataset.add_argument("--plan", metavar="NAME", help="a plan, or the path of a TOML file (default: paper2017)")
     dataset.add_argument("--real", metavar="DIR", help="instead of a plan: a folder of recordings of a real sensor, converted")
     dataset.add_argument(
-        "--light-of", metavar="DIR", help="instead: a simulated dataset, its presses seen by another sensor; needs --sensor"
+        "--light-of", metavar="DIR", help="instead: a simulated dataset, its presses seen by another sensor, or drawn at last"
     )
-    dataset.add_argument("--sensor", metavar="NAME", help="with --light-of: a sensor preset, or the path of a sensor file")
+    dataset.add_argument("--sensor", metavar="NAME", help="with --light-of: a sensor preset or file (default: the plan's own)")
+    dataset.add_argument("--no-light", action="store_true", help="mechanics and labels only, no pictures: --light-of draws them later")
     dataset.add_argument("--episodes", type=int, metavar="N", help="how many, counted from the first; needed with a plan")
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
@@ -388,15 +389,17 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         return report
     from gelsim import generate
 
-    if (options.light_of is None) != (options.sensor is None):
-        raise SceneError("dataset: --light-of DIR and --sensor NAME go together")
+    if options.sensor is not None and options.light_of is None:
+        raise SceneError("dataset: --sensor NAME goes with --light-of DIR; a plan says which sensors it has")
+    if options.no_light and options.light_of is not None:
+        raise SceneError("dataset: --no-light and --light-of exclude each other")
     if options.light_of:
         from gelsim.generate.relight import relight
 
         with progress_bars() as progress:
             report = relight(
-                Path(options.light_of), options.sensor, Path(options.out), seed=options.seed, workers=options.workers,
-                ray=options.ray, resume=options.resume, device=options.device, progress=progress,
+                Path(options.light_of), options.sensor, Path(options.out), plan=options.plan, seed=options.seed,
+                workers=options.workers, ray=options.ray, resume=options.resume, device=options.device, progress=progress,
             )  # fmt: skip
         if not options.json:
             print(generate.summary(report))
@@ -405,7 +408,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         raise SceneError("dataset: give --episodes N, --real DIR, or --light-of DIR")
     with progress_bars() as progress:
         report = generate.generate(
-            options.plan,
+            options.plan or "paper2017",
             options.episodes,
             Path(options.out),
             seed=options.seed,
@@ -413,6 +416,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
             ray=options.ray,
             resume=options.resume,
             device=options.device,
+            light=not options.no_light,
             progress=progress,
         )
     if not options.json:

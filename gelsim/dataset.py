@@ -135,6 +135,11 @@ def check_row(row: object, where: str) -> None:
         raise DatasetError(f"{where}: file = {row['file']!r}: the episode {row['index']} lies in {episode_file(max(row['index'], 0))!r}")
 
 
+def lit(row: Mapping[str, Any]) -> bool:
+    """Whether an episode has pictures: one without (pictures = false in its row) keeps mechanics and labels, and reads as 0 × 0 pixels."""
+    return row.get("pictures", True) is not False
+
+
 def write_episode(folder: Path, episode: Episode, members: Mapping[str, bytes] | None = None) -> Path:
     """Writes an episode whole: under a temporary name, then renamed.
 
@@ -145,18 +150,23 @@ def write_episode(folder: Path, episode: Episode, members: Mapping[str, bytes] |
         DatasetError: Its row is not of the schema, or it cannot be written (a full disk, a read-only folder).
     """
     check_row(episode.row, f"episode {episode.row.get('index')}")
+    if lit(episode.row) != bool(episode.background.size):
+        raise DatasetError(
+            f"episode {episode.row['index']}: pictures of {episode.background.shape}, but pictures = {lit(episode.row)} in its row"
+        )
     if episode.row["frames"] != len(episode.frames):
         raise DatasetError(f"episode {episode.row['index']}: its row says {episode.row['frames']} frames, it has {len(episode.frames)}")
     pictures: dict[bytes, bytes] = {}
-    for picture in (episode.background, *episode.frames):
+    for picture in (episode.background, *episode.frames) if lit(episode.row) else ():
         if (pixels := picture.tobytes()) not in pictures:
             pictures[pixels] = webp(picture)
     files = {
         "row.json": _dumped({"row": episode.row, "sums": _sums(episode)}),
         "labels.npz": npz({name: np.asarray(getattr(episode, name), kind) for name, kind in _LABELS.items()}),
-        "background.webp": pictures[episode.background.tobytes()],
     }
-    files |= {f"frames/{number:04d}.webp": pictures[frame.tobytes()] for number, frame in enumerate(episode.frames)}
+    if lit(episode.row):
+        files["background.webp"] = pictures[episode.background.tobytes()]
+        files |= {f"frames/{number:04d}.webp": pictures[frame.tobytes()] for number, frame in enumerate(episode.frames)}
     path = folder / episode.row["file"]
     write_tar(path, files | dict(members or {}))
     return path
@@ -166,15 +176,17 @@ def read_episode(path: Path) -> Episode:
     """Raises DatasetError for a file that is missing, damaged or not of the schema."""
     with _opened(path) as tar:
         names = {member.name: member for member in tar}
-        count = sum(name.startswith("frames/") for name in names)
-        if not 0 < count <= MOST_FRAMES:
-            raise DatasetError(f"{path}: holds {count} frames; allowed is 1 … {MOST_FRAMES}")
         row = json.loads(_content(tar, names, "row.json"))["row"]
         check_row(row, f"{path}: row.json")
+        count = sum(name.startswith("frames/") for name in names) if lit(row) else row["frames"]
+        if not 0 < count <= MOST_FRAMES:
+            raise DatasetError(f"{path}: holds {count} frames; allowed is 1 … {MOST_FRAMES}")
         with _npz(_content(tar, names, "labels.npz")) as file:
             labels = {name: np.asarray(file[name], np.float64) for name in _LABELS if name in file}
         if "marker_pixels" in labels and labels["marker_pixels"].shape[1:2] > (MOST_MARKERS,):
             raise DatasetError(f"{path}: more than {MOST_MARKERS} markers")
+        if not lit(row):
+            return Episode(np.zeros((count, 0, 0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8), row=row, **labels)
         kind = "webp" if "background.webp" in names else "png"
         wanted = [f"background.{kind}", *(f"frames/{i:04d}.{kind}" for i in range(count))]
         kept = {name: names[name].linkname if name in names and names[name].islnk() else name for name in wanted}

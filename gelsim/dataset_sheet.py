@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.dataset import Dataset
+from gelsim.dataset import Dataset, lit
 from gelsim.results import Episode
 
 EXAMPLES_A_GROUP = 3
@@ -83,7 +83,7 @@ def contact_sheet(data: Dataset, group: int, across: int = 6, down: int = 4, wid
 
     chosen: list[int] = []
     seen: set[str] = set()
-    members = [i for i, row in enumerate(data.rows) if row["group"] == group]
+    members = [i for i, row in enumerate(data.rows) if row["group"] == group and lit(row)]
     for fresh in (True, False):
         for i in members:
             if len(chosen) < across * down and i not in chosen and (data.rows[i]["object"] not in seen or not fresh):
@@ -103,7 +103,7 @@ def contact_sheet(data: Dataset, group: int, across: int = 6, down: int = 4, wid
 def _examples(data: Dataset) -> list[tuple[dict[str, Any], list[NDArray[np.uint8]]]]:
     found = []
     for group in sorted({row["group"] for row in data.rows}):
-        members = [i for i, row in enumerate(data.rows) if row["group"] == group]
+        members = [i for i, row in enumerate(data.rows) if row["group"] == group and lit(row)]
         for i in members[:: max(len(members) // EXAMPLES_A_GROUP, 1)][:EXAMPLES_A_GROUP]:
             episode = data.read(i)
             steps = np.linspace(0, len(episode.frames) - 1, SHOWN).round().astype(int)

@@ -109,7 +109,7 @@ class Episode:
     """One press as a learner sees it, simulated or recorded. What is unknown is NaN; the schema is in docs/datasets.md."""
 
     frames: NDArray[np.uint8]
-    """8-bit sRGB, shape (N, H, W, 3)."""
+    """8-bit sRGB, shape (N, H, W, 3); H = W = 0 where light was left for later."""
     background: NDArray[np.uint8]
     """The no-contact frame, shape (H, W, 3)."""
     time: NDArray[np.float64]

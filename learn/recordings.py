@@ -81,6 +81,8 @@ def record(
 
 def record_episode(episode: Episode, inputs: InputConfig) -> Recording:
     """A recording from an episode; its camera's noise, if it was left out, comes along to be drawn later."""
+    if not episode.background.size:
+        raise DatasetError(f"episode {episode.row['index']}: has no pictures; gelsim dataset --light-of DIR draws them")
     return record(list(episode.frames), episode.background, inputs, camera_noise(episode, inputs.picture))
 
 

@@ -132,8 +132,8 @@ def expected_travel(scene: Scene) -> float:
     return float(travel)
 
 
-def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio: Studio) -> Made:
-    """Episode `end` of a press: its motion up to an end point, as its sensor sees it."""
+def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio: Studio | None) -> Made:
+    """Episode `end` of a press: its motion up to an end point, as its sensor sees it; without a studio in the dark."""
     draw = catalogue.episode(press, end)
     scene = build_scene(scene_table(press.scene), draw.layer)
     far = draw.end * float(motion.approach[-1])
@@ -152,25 +152,31 @@ def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio:
     return pictured(told, press.scene, pack(motion.until(far)), approach, row, studio)
 
 
-def pictured(scene: Scene, sensor: Scene, mechanics: bytes, approach: NDArray[np.float64], row: dict[str, Any], studio: Studio) -> Made:
+def pictured(
+    scene: Scene, sensor: Scene, mechanics: bytes, approach: NDArray[np.float64], row: dict[str, Any], studio: Studio | None
+) -> Made:
     """An episode from its mechanics archive: what is drawn comes out of the archive, so it can be drawn again.
 
     Args:
         sensor: The scene with the lights that a light field is measured with.
         approach: Of every frame [m], shape (N,).
-        row: Without what follows from the pictures.
+        row: Without what follows from mechanics and pictures.
+        studio: None draws nothing: an episode without pictures and markers, whose light is drawn later.
     """
-    from gelsim.optics.camera import marker_pixels
-
     motion = unpack(mechanics)
     places, where = np.unique(approach, return_inverse=True)
     displacement, force = motion.at(places)
-    membranes = studio.membranes(scene, motion.rest, displacement)
-    images = studio.pictures(scene, sensor, membranes)
-    pixels = np.stack([marker_pixels(scene, membrane) for membrane in membranes])
+    if studio is None:
+        images, pixels = [np.zeros((0, 0, 3), np.uint8)] * len(places), np.zeros((len(places), 0, 2))
+    else:
+        from gelsim.optics.camera import marker_pixels
+
+        membranes = studio.membranes(scene, motion.rest, displacement)
+        images = studio.pictures(scene, sensor, membranes)
+        pixels = np.stack([marker_pixels(scene, membrane) for membrane in membranes])
     row = row | {
         "frames": len(approach), "peak_force_n": round(float(-force[:, 2].min()), 6), "file": episode_file(row["index"]),
-        "peak_approach_mm": round(float(places[-1]) / MM, 6),
+        "peak_approach_mm": round(float(places[-1]) / MM, 6), **({"pictures": False} if studio is None else {}),
     }  # fmt: skip
     assert places[0] == 0.0, "the first frame is before first touch"
     frames = np.stack([images[i] for i in where])

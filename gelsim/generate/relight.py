@@ -1,7 +1,10 @@
-"""`gelsim dataset --light-of DIR --sensor NAME`: the presses of a dataset seen by another sensor; no finite elements are solved.
+"""`gelsim dataset --light-of DIR [--sensor NAME]`: the presses of a dataset seen by another sensor; no finite elements are solved.
 
 Every episode keeps its mechanics (`gelsim.motion`): gel, motion, force and time stay, light, coat, camera and markers are the new sensor's,
 with what the plan draws by episode drawn anew. A light field is measured for each shape of gel in the dataset, once.
+
+Without a sensor the pictures are those of the plan's own, which a dataset made with `--no-light` lacks: the same files, byte for byte, as
+if they had been drawn at once.
 """
 
 from __future__ import annotations
@@ -14,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.dataset import Dataset, load_dataset, write_episode
+from gelsim.dataset import Dataset, load_dataset, unpacked, write_episode
 from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
-from gelsim.generate.light import Studio
-from gelsim.generate.run import Book, Progress, crew_of, measure_lights, report_of, sums_of
-from gelsim.randomize import EPISODE, Plan, draw_fields, generator, load_plan
+from gelsim.generate.light import Studio, scene_of
+from gelsim.generate.run import Book, Progress, crew_of, features, measure_lights, report_of, sums_of
+from gelsim.randomize import EPISODE, Catalogue, draw_fields, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
 from gelsim.workers import Handful, WorkError, work_through
@@ -31,7 +34,7 @@ SEEN = ("camera", "lights", "coating", "markers")
 
 def relight(
     source: Path,
-    sensor: str,
+    sensor: str | None,
     out: Path,
     *,
     plan: str | None = None,
@@ -46,7 +49,7 @@ def relight(
 
     Args:
         source: A simulated dataset.
-        sensor: A preset, or the path of a sensor file.
+        sensor: A preset, or the path of a sensor file; None: those of the source's plan.
         plan: Draws what an episode may change; that of the source by default.
     Raises:
         SceneError, DatasetError: as `gelsim.generate.run.generate`.
@@ -56,16 +59,26 @@ def relight(
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
     name = plan or str(data.info.get("plan"))
-    load_plan(name)
-    scenes = {sensor_scene(data, position, sensor).gel: sensor_scene(data, position, sensor) for position in range(len(data))}
+    if sensor is None:
+        catalogue = own_catalogue(data, name)
+        width, height = catalogue.plan.resolution
+        seen = sorted({catalogue.press(int(row["mechanics"])).sensor for row in data.rows})
+        scenes = [catalogue.sensor_scene(number) for number in seen]
+        seed = catalogue.seed
+    else:
+        load_plan(name)
+        of_gel = {scene.gel: scene for scene in (sensor_scene(data, position, sensor) for position in range(len(data)))}
+        scenes = list(of_gel.values())
+        width, height = scenes[0].render.resolution if scenes else (0, 0)
     light = {"light_of": {"seed": data.info.get("seed"), "plan_sha256": data.info.get("plan_sha256")}, "sensor": sensor}
-    book = Book(out, data.info | light | {"seed": seed}, resume)
+    drawn = {"resolution": [width, height], "features": features(width, height), "seed": seed}
+    book = Book(out, data.info | light | drawn, resume)
     start = time.perf_counter()
     todo = [position for position, row in enumerate(data.rows) if row["index"] not in book.known]
     before = len(data) - len(todo)
     book.write()
     if todo:
-        measure_lights([scene for scene in scenes.values() if scene.render.mode == "baked"], device, progress)
+        measure_lights([scene for scene in scenes if scene.render.mode == "baked"], device, progress)
 
         def lost(handful: Handful, status: str, message: str) -> Done:
             return Done(handful, failures=[
@@ -73,7 +86,11 @@ def relight(
                  "status": status, "message": message} for p in handful
             ])  # fmt: skip
 
-        handfuls = [(position,) for position in todo]
+        # Episodes of a press together: they share the preparation of its surface.
+        of_press: dict[str, list[int]] = {}
+        for position in todo:
+            of_press.setdefault(data.rows[position]["mechanics"], []).append(position)
+        handfuls = [tuple(positions) for positions in of_press.values()]
         arguments = (source, sensor, name, seed, out, device)
         try:
             for done in work_through(handfuls, crew, make_relighter, arguments, lost):
@@ -89,10 +106,18 @@ def relight(
     return report_of(book, out, len(data), before, crew.count, time.perf_counter() - start)
 
 
+def own_catalogue(data: Dataset, plan: str) -> Catalogue:
+    """The plan that a dataset was made from, as it was then. Raises SceneError."""
+    if data.info.get("light_of") is not None:
+        raise SceneError(f"--light-of {data.folder}: is drawn from another dataset already; give --sensor NAME, or that dataset")
+    catalogue = Catalogue(load_plan(plan), int(data.info.get("seed", 0)))
+    if catalogue.plan.digest != data.info.get("plan_sha256"):
+        raise SceneError(f"--light-of {data.folder}: the plan {plan} is not what it was made from; give that by --plan, or --sensor NAME")
+    return catalogue
+
+
 def sensor_scene(data: Dataset, position: int, sensor: str) -> Scene:
     """An episode's scene with another sensor's eye."""
-    from gelsim.generate.light import scene_of
-
     scene = scene_of(data.member(position, "scene.toml"))
     other = build_scene({"sensor": {"preset": sensor}})
     seen = {name: getattr(other, name) for name in SEEN}
@@ -100,16 +125,16 @@ def sensor_scene(data: Dataset, position: int, sensor: str) -> Scene:
     return scene.replace(sensor=dataclasses.replace(scene.sensor, preset=sensor), **seen)
 
 
-def make_relighter(source: Path, sensor: str, plan: str, seed: int, out: Path, device: str) -> Callable[[Handful], Done]:
+def make_relighter(source: Path, sensor: str | None, plan: str, seed: int, out: Path, device: str) -> Callable[[Handful], Done]:
     """What a worker process does with episodes: light, files."""
-    data, drawn, studio = load_dataset(source), load_plan(plan), Studio(device)
+    data, catalogue, studio = load_dataset(source), Catalogue(load_plan(plan), seed), Studio(device)
 
     def work(handful: Handful) -> Done:
         done = Done(handful)
         try:
             for position in handful:
                 start = time.perf_counter()
-                made = relit_episode(data, position, sensor, drawn, seed, studio)
+                made = relit_episode(data, position, sensor, catalogue, studio)
                 path = write_episode(out, made.episode, made.members)
                 done.rows.append((made.episode.row, sums_of(path)))
                 done.seconds.append({"episode": made.episode.row["index"], "light": round(time.perf_counter() - start, 3)})
@@ -120,13 +145,17 @@ def make_relighter(source: Path, sensor: str, plan: str, seed: int, out: Path, d
     return work
 
 
-def relit_episode(data: Dataset, position: int, sensor: str, plan: Plan, seed: int, studio: Studio) -> recording.Made:
+def relit_episode(data: Dataset, position: int, sensor: str | None, catalogue: Catalogue, studio: Studio) -> recording.Made:
     """One episode, drawn again."""
     row = data.rows[position]
-    base = sensor_scene(data, position, sensor)
-    layer = draw_fields(plan.episode_fields, generator(seed, EPISODE, row["index"], 1), row["index"], base)
-    scene = build_scene(scene_table(base), layer)
-    approach = np.array(data.read(position).approach)
-    kept = {key: value for key, value in row.items() if key not in ("frames", "peak_force_n", "file", "peak_approach_mm")}
-    mechanics = data.member(position, "mechanics.npz")
-    return recording.pictured(scene, base, mechanics, approach, kept | {"sensor": sensor}, studio)
+    kept = {key: value for key, value in row.items() if key not in ("frames", "peak_force_n", "file", "peak_approach_mm", "pictures")}
+    if sensor is None:
+        base = catalogue.press(int(row["mechanics"])).scene
+        scene = scene_of(data.member(position, "scene.toml"))
+    else:
+        base = sensor_scene(data, position, sensor)
+        rng = generator(catalogue.seed, EPISODE, row["index"], 1)
+        scene = build_scene(scene_table(base), draw_fields(catalogue.plan.episode_fields, rng, row["index"], base))
+        kept["sensor"] = sensor
+    approach = np.array(unpacked(data.member(position, "labels.npz"))["approach"])
+    return recording.pictured(scene, base, data.member(position, "mechanics.npz"), approach, kept, studio)

@@ -55,6 +55,7 @@ def generate(
     ray: str | None = None,
     resume: bool = False,
     device: str = "cpu",
+    light: bool = True,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Makes a dataset; returns what the command reports.
@@ -65,6 +66,7 @@ def generate(
         workers: Processes; one per core by default.
         ray: Address of a Ray cluster that works instead of this machine.
         device: Where the light is drawn: "cpu", or "cuda", all of whose devices share the workers.
+        light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
             what was done is kept.
@@ -74,7 +76,7 @@ def generate(
         raise SceneError(f"--episodes {episodes}: expected 1 or more")
     crew = crew_of(workers, device, ray)
     start = time.perf_counter()
-    info = _info(catalogue)
+    info = _info(catalogue, light)
     book = Book(out, info, resume)
     ends = len(catalogue.plan.end_points)
     wanted = {number: [end for end in range(ends) if number * ends + end < episodes] for number in range(-(-episodes // ends))}
@@ -87,14 +89,14 @@ def generate(
     total, before = episodes, sum(len(of_press) for of_press in wanted.values()) - sum(len(of_press) for of_press in todo.values())
     if todo:
         presses = {number: catalogue.press(number) for number in todo}
-        if catalogue.plan.mode == "baked":
+        if light and catalogue.plan.mode == "baked":
             measure_lights([catalogue.sensor_scene(n) for n in sorted({press.sensor for press in presses.values()})], device, progress)
         handfuls = [(number,) for number in todo]
 
         def lost(handful: Handful, status: str, message: str) -> Done:
             return Done(handful, failures=[failure(catalogue, n, todo[n], status, message) for n in handful])
 
-        arguments = (plan, seed, out, todo, device)
+        arguments = (plan, seed, out, todo, device, light)
         try:
             for done in work_through(handfuls, crew, make_worker, arguments, lost):
                 book.add(done)
@@ -143,15 +145,15 @@ def failure(catalogue: Catalogue, number: int, ends: Sequence[int], status: str,
 # ---- in a worker ----
 
 
-def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], device: str) -> Callable[[Handful], Done]:
+def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], device: str, light: bool = True) -> Callable[[Handful], Done]:
     """What a worker process does with presses: mechanics, light, files."""
-    catalogue, studio = Catalogue(load_plan(plan), seed), Studio(device)
+    catalogue, studio = Catalogue(load_plan(plan), seed), Studio(device) if light else None
 
     def work(handful: Handful) -> Done:
         done = Done(handful)
         try:
             for press in map(catalogue.press, handful):
-                ends, start, light = todo[press.number], time.perf_counter(), 0.0
+                ends, start, drawing = todo[press.number], time.perf_counter(), 0.0
                 try:
                     solved = recording.solve(press)
                 except recording.PressFailed as failed:
@@ -160,13 +162,13 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
                 mechanics, start = time.perf_counter() - start, time.perf_counter()
                 for end in ends:
                     made = recording.record(catalogue, press, end, solved.motion, studio)
-                    light += time.perf_counter() - start
+                    drawing += time.perf_counter() - start
                     path = write_episode(out, made.episode, made.members)
                     done.rows.append((made.episode.row, sums_of(path)))
                     start = time.perf_counter()
                 done.seconds.append({
                     "press": press.number, "shape": press.scene.object.shape, "episodes": len(ends), "states": len(solved.motion.approach),
-                    "mechanics": round(mechanics, 3), "light": round(light, 3), "stages": solved.seconds,
+                    "mechanics": round(mechanics, 3), "light": round(drawing, 3), "stages": solved.seconds,
                 })  # fmt: skip
         except GelsimError as error:
             done.error = str(error)
@@ -244,7 +246,7 @@ class Book:
             earlier = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise SceneError(f"--resume {self.out}: holds files but no dataset ({error}); give another folder") from None
-        for name in ("schema", "plan", "plan_sha256", "seed", "light_of", "sensor"):
+        for name in ("schema", "plan", "plan_sha256", "seed", "light_of", "sensor", "resolution"):
             if earlier.get(name) != ({"schema": SCHEMA} | self.info).get(name):
                 told = "the plan has changed since" if name == "plan_sha256" else f"its {name} is {earlier.get(name)!r}"
                 raise SceneError(f"--resume {self.out}: {told}; give another folder")
@@ -299,8 +301,8 @@ class Book:
             raise DatasetError(f"{self.out}/meta/seconds.jsonl: cannot be written ({error.strerror})") from None
 
 
-def _info(catalogue: Catalogue) -> dict[str, Any]:
-    width, height = catalogue.plan.resolution
+def _info(catalogue: Catalogue, light: bool) -> dict[str, Any]:
+    width, height = catalogue.plan.resolution if light else (0, 0)
     return {
         "domain": "sim", "fps": catalogue.sensor_scene(0).camera.fps, "resolution": [width, height], "noise": "none",
         "plan": catalogue.plan.name,

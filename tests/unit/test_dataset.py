@@ -17,8 +17,11 @@ import pytest
 
 from gelsim import dataset
 from gelsim.dataset import Survey, episode_file, load_dataset, read_episode, survey, write_episode, write_meta, write_tar
+from gelsim.dataset_sheet import dataset_facts, draw_dataset
 from gelsim.errors import DatasetError
 from gelsim.results import Episode
+from learn.config import InputConfig
+from learn.recordings import record_episode
 
 
 def make(index: int = 0, count: int = 3, **fields: Any) -> Episode:
@@ -78,6 +81,32 @@ def test_equal_pictures_are_kept_once(tmp_path: Path) -> None:
     for name, values in (("levels", made.frames), ("change", made.frames.astype(np.int64) - made.background)):
         flat = values.reshape(-1, 3).astype(np.int64)
         assert sums[name] == [flat.sum(axis=0).tolist(), (flat**2).sum(axis=0).tolist()]
+
+
+def dark(index: int = 0) -> Episode:
+    made = make(index, pictures=False)
+    return replace(made, frames=np.zeros((3, 0, 0, 3), np.uint8), background=np.zeros((0, 0, 3), np.uint8))
+
+
+def test_an_episode_without_light_keeps_its_labels(tmp_path: Path) -> None:
+    made = dark()
+    path = write_episode(tmp_path, made, {"mechanics.npz": b"motion"})
+    read = read_episode(path)
+    assert read.frames.shape == (3, 0, 0, 3) and read.row == made.row
+    np.testing.assert_array_equal(read.marker_pixels, made.marker_pixels)
+    write_meta(tmp_path, {"domain": "sim", "fps": 30, "resolution": [0, 0]}, survey(tmp_path), [], {"train": [0]})
+    data = load_dataset(tmp_path)
+    assert data.stats["pixels"] == 0 and dataset_facts(data)["frames"] == 3
+    draw_dataset(tmp_path / "sheet.png", data)
+    with pytest.raises(DatasetError, match="episode 0: has no pictures"):
+        record_episode(read, InputConfig())
+    # Pictures that should be there and are not are damage, and a row that does not say what is there is no episode.
+    rewritten(path, "row.json", json.dumps({"row": {**made.row, "pictures": True}, "sums": {}}).encode())
+    with pytest.raises(DatasetError, match="holds 0 frames"):
+        read_episode(path)
+    for wrong in (replace(dark(), row=make().row), replace(make(), row=dark().row)):
+        with pytest.raises(DatasetError, match="in its row"):
+            write_episode(tmp_path, wrong)
 
 
 @pytest.mark.parametrize("target", ["frames/0005.webp", "../../etc/passwd", "row.json"])

@@ -265,6 +265,17 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
         )
         assert (np.diff(episode.approach) >= 0).all() and episode.noise.shape == (3, 3)
 
+    # Mechanics first and light later are the same files; the folder without light takes no episodes with it.
+    dark = tmp_path / "dark"
+    assert generate(TINY, 6, dark, seed=3, workers=2, light=False)["episodes"] == 6
+    with pytest.raises(SceneError, match="its resolution is"):
+        generate(TINY, 6, dark, seed=3, workers=1, resume=True)
+    with pytest.raises(SceneError, match="not what it was made from"):
+        relight(dark, None, tmp_path / "late", plan="mini")
+    assert relight(dark, None, tmp_path / "late", plan=TINY, workers=2)["episodes"] == 6
+    late, once = (contents(tmp_path / name / "episodes") for name in ("late", "two"))
+    assert late == once and contents(dark / "episodes") != once
+
     # The same presses, seen by the same kind of sensor with other draws: mechanics and labels stay, pictures do not.
     for position in range(len(data)):
         scene = sensor_scene(data, position, "fingertip2017")
