@@ -107,10 +107,10 @@ class DrJitArrays:
     def floats(self, values: Any) -> Values:
         if self._dr.is_array_v(values):  # a Mitsuba variant's
             return self._float(self._dr.detach(values))
-        return self._float(np.ascontiguousarray(values, np.float32).ravel())
+        return self._float(_aligned(np.asarray(values, np.float32)))
 
     def words(self, values: Any) -> Values:
-        return self._word(values)
+        return self._word(_aligned(values) if isinstance(values, np.ndarray) else values)
 
     def range(self, count: int) -> Values:
         return self._dr.arange(self._int, count)
@@ -167,6 +167,15 @@ class DrJitArrays:
 
     def numpy(self, values: Values) -> np.ndarray:
         return np.array(values)
+
+
+def _aligned(values: np.ndarray) -> np.ndarray:
+    """Flat, at a multiple of 64 bytes: Dr.Jit uses NumPy's memory as it lies, and would trace anew for an array that lies otherwise."""
+    room = np.empty(values.nbytes + 64, np.uint8)
+    start = -room.ctypes.data % 64
+    flat = room[start : start + values.nbytes].view(values.dtype)
+    flat[:] = values.ravel()
+    return flat
 
 
 Arrays = NumPyArrays | DrJitArrays

@@ -248,6 +248,22 @@ def test_a_renderer_like_another_draws_the_same(variant, markers):
     assert np.array_equal(both[0], both[1]) and not np.array_equal(both[0], alone)
 
 
+@pytest.mark.skipif(len(VARIANTS) < 2, reason="NumPy traces nothing")
+def test_renderers_like_each_other_are_traced_once(monkeypatch):
+    """Planted: without `like` each is traced."""
+    traced, draw = [], baked.draw
+    monkeypatch.setattr(baked, "draw", lambda *arguments: traced.append(1) or draw(*arguments))
+    scene, field = marked_scene(), linear_field()
+    membrane, last = rest_membrane(scene), None
+    for seed in range(8):
+        other = scene.replace(markers=replace(scene.markers, seed=seed))
+        last = BakedRenderer(other, field, VARIANTS[1], like=last)
+        last.frames([membrane] * 2)
+    assert len(traced) == 1
+    BakedRenderer(other, field, VARIANTS[1]).frames([membrane] * 2)
+    assert len(traced) == 2
+
+
 def test_means_over_boxes_and_values_between_texels():
     values = np.random.default_rng(6).random(50).astype(np.float32)
     box, step = 3.7, 2.3
