@@ -86,10 +86,17 @@ def mesh_arrays(membrane: Membrane, scene: Scene | None = None) -> dict[str, np.
 
     With a scene its points are moved sideways, so that `camera_dict`'s pinhole sees each in the pixel of its refracted ray.
     """
+    return {
+        **moving_arrays(membrane, scene),
+        "vertex_texcoords": np.ascontiguousarray(membrane.uv, np.float32),
+        "faces": np.ascontiguousarray(membrane.faces[:, ::-1], np.uint32),
+    }
+
+
+def moving_arrays(membrane: Membrane, scene: Scene | None = None) -> dict[str, np.ndarray]:
+    """What of `mesh_arrays` changes from frame to frame."""
     positions = membrane.positions if scene is None else apparent_positions(scene, membrane.positions)
     return {
         "vertex_positions": np.ascontiguousarray(positions * MM, np.float32),
         "vertex_normals": np.ascontiguousarray(-membrane.normals, np.float32),
-        "vertex_texcoords": np.ascontiguousarray(membrane.uv, np.float32),
-        "faces": np.ascontiguousarray(membrane.faces[:, ::-1], np.uint32),
     }

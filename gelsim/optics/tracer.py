@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from gelsim.optics.camera import gel_ray, make_lens, sideways, solve_slope
 from gelsim.optics.coating import flake_albedo, grain_pattern, marker_coverage
 from gelsim.optics.lighting import mirror_height, mirrored_light
-from gelsim.optics.scene_dict import mesh_arrays
+from gelsim.optics.scene_dict import mesh_arrays, moving_arrays
 from gelsim.optics.spectra import light_colour
 from gelsim.optics.stratified import grid_of, path_groups, path_sets
 from gelsim.results import Membrane
@@ -114,27 +114,30 @@ class Tracer:
 
     def place(self, membrane: Membrane) -> None:
         """Makes the membrane the surface that is drawn."""
-        mi = self.mi
-        arrays = mesh_arrays(membrane)
-        if self._mesh is None or self._mesh.vertex_count() != len(arrays["vertex_positions"]):
-            count = len(arrays["vertex_positions"])
-            mesh = mi.Mesh("membrane", count, len(arrays["faces"]), has_vertex_normals=True, has_vertex_texcoords=True)
+        mi, dr = self.mi, self.dr
+        # All that the host has to do comes before the update, which waits for the frame that is being drawn.
+        moved = moving_arrays(membrane)
+        seen = np.flatnonzero(self._in_field(moved["vertex_positions"])).astype(np.uint32)
+        if self._mesh is None or self._mesh.vertex_count() != len(membrane.positions):
+            arrays = mesh_arrays(membrane)
+            mesh = mi.Mesh("membrane", len(membrane.positions), len(membrane.faces), has_vertex_normals=True, has_vertex_texcoords=True)
             parameters = mi.traverse(mesh)
             for name, values in arrays.items():
                 parameters[name] = values.ravel()
             parameters.update()
             pooled = self.scene.lights.window_reflection and self.scene.render.mode != "direct"
             self._cells = self._pool_cells(arrays["vertex_texcoords"]) if pooled else None
+            self._uv = mi.Point2f(np.ascontiguousarray(arrays["vertex_texcoords"].T))
             self._mesh, self._traced = mesh, mi.load_dict({"type": "scene", "membrane": mesh})
         else:
             parameters = mi.traverse(self._traced)
-            parameters["membrane.vertex_positions"] = arrays["vertex_positions"].ravel()
-            parameters["membrane.vertex_normals"] = arrays["vertex_normals"].ravel()
+            for name, values in moved.items():
+                parameters[f"membrane.{name}"] = mi.Float(values.ravel())
             parameters.update()
-        self._points = mi.Point3f(np.ascontiguousarray(arrays["vertex_positions"].T))
-        self._normals = mi.Vector3f(np.ascontiguousarray(arrays["vertex_normals"].T))
-        self._uv = mi.Point2f(np.ascontiguousarray(arrays["vertex_texcoords"].T))
-        self._seen = mi.UInt32(np.flatnonzero(self._in_field(arrays["vertex_positions"])).astype(np.uint32))
+        self._points = dr.unravel(mi.Point3f, self._mesh.vertex_positions_buffer())
+        self._normals = dr.unravel(mi.Vector3f, self._mesh.vertex_normals_buffer())
+        self._seen = mi.UInt32(seen)
+        dr.eval(self._points, self._normals)
 
     def _pool_cells(self, uv: NDArray[np.float32]) -> tuple[Any, Any, int]:
         """Vertices of each cell of the pool, with their shares of its mean, in rows of equal length, filled up with shares of 0."""
