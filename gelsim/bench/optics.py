@@ -6,7 +6,8 @@ channels. *Noise.* Standard deviation over seeds divided by the mean, median ove
 *Others.* `stock` is the same scene (without the window's reflection) by Mitsuba's own path integrator. `Agarwal` is the set-up of Agarwal
 et al. (ICRA 2021) by Mitsuba's path integrator: diffuse coat behind a rough dielectric (GGX 0.3, index 1.5403), three area lights outside
 it, so that a light is found by chance only. Their scene holds one plane; here it holds our membrane. Their pictures differ, so only noise
-and time are compared.
+and time are compared. `Taxim` (Si and Yuan 2022), where the `taxim` package and JAX are installed, is its picture of a ball, with
+its own calibrated sensor and size, without and with shadows; it takes a height map, is not random, and is compared by time alone.
 *To 2 %.* From a set-up's last row: noise falls as the paths' power seen between first and last row, the square root at least (what chance
 gives); time as a line through both.
 """
@@ -14,6 +15,7 @@ gives); time as a line through both.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -34,6 +36,8 @@ DENT = 9
 """Two bodies at once, with cast shadows; not among those a bake judges itself by."""
 SEEDS = 4
 GOAL = 0.02
+TAXIM_BALL_MM, TAXIM_PIXEL_MM = 4.0, 0.0295
+"""Of the ball, chosen; of its sensor, as its calibration says."""
 Draw = Callable[[int], NDArray[np.float32]]
 
 
@@ -47,6 +51,19 @@ def _cases(options: Options) -> Iterator[Case]:
     for setup in ("stock", "Agarwal"):
         for spp in (4, 16) if options.quick else (16, 64):
             yield Case(f"{setup}, {spp}", functools.partial(_measure, setup, spp, size))
+    if all(map(importlib.util.find_spec, ("taxim", "jax"))):
+        for shadows in (False, True):
+            yield Case(f"Taxim{', shadows' if shadows else ''}", functools.partial(_measure_taxim, shadows))
+
+
+def _measure_taxim(shadows: bool) -> Row:
+    """A ball of 4 mm pressed 1 mm deep, from the object's height over its lowest point [mm] to the picture on the host."""
+    simulator = importlib.import_module("taxim").Taxim(backend="jax")
+    x, y = np.meshgrid(np.arange(simulator.width) - simulator.width / 2, np.arange(simulator.height) - simulator.height / 2)
+    inside = TAXIM_BALL_MM**2 - (x**2 + y**2) * TAXIM_PIXEL_MM**2
+    height = (TAXIM_BALL_MM - np.sqrt(np.maximum(inside, 0.0))).astype(np.float32)
+    seconds = seconds_a_call(lambda: np.asarray(simulator.render(height, with_shadow=shadows, press_depth=1.0)))
+    return {"status": SolveStatus.CONVERGED.name, "setup": "Taxim", "ms": round(1e3 * seconds, 2), "variant": "jax"}
 
 
 def _measure(setup: str, spp: int, size: tuple[int, int]) -> Row:

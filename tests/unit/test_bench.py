@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, random_scenes, runner, stability
+from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability
 from gelsim.bench.section import Case, Options, Section
 from gelsim.errors import SceneError
 from gelsim.scene_file import build_scene
@@ -27,6 +27,39 @@ def test_every_case_has_a_name_of_its_own_and_a_scene_that_is_one(name: str, qui
     for case in cases:
         if case.scene is not None:
             build_scene(case.scene)
+
+
+def test_taxim_is_measured_where_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {case.name for case in optics.SECTION.cases(Options(quick=True, data=None))}
+    # Without the package there are no such rows; with it (JAX is what it runs on) a picture from a height map in mm, 0 at the apex.
+    (tmp_path / "jax.py").write_text("")
+    (tmp_path / "taxim.py").write_text(
+        "asked = []\n"
+        "class Taxim:\n"
+        "    width, height = 640, 480\n"
+        "    def __init__(self, backend): assert backend == 'jax'\n"
+        "    def render(self, height, with_shadow, press_depth): asked.append((height, with_shadow, press_depth)); return height\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(optics, "seconds_a_call", lambda work: (work(), 0.25)[1])
+    both = {
+        case.name: case
+        for case in optics.SECTION.cases(Options(quick=True, data=None))
+        if case.name not in names - {"Taxim", "Taxim, shadows"}
+    }
+    assert list(both) == ["Taxim", "Taxim, shadows"]
+    try:
+        rows = [case.measure() for case in both.values()]
+        asked = sys.modules["taxim"].asked
+    finally:
+        sys.modules.pop("taxim", None)
+    assert [row["ms"] for row in rows] == [250.0, 250.0] and [shadow for _, shadow, _ in asked] == [False, True]
+    height = asked[0][0]
+    # The apex in the middle; 1 mm up a ball of 4 mm is √(16 - 9) mm wide to each side.
+    assert height.shape == (480, 640) and height[240, 320] == 0.0 == height.min()
+    assert (height[240] < 1.0).sum() * 0.0295 / 2 == pytest.approx(7**0.5, abs=0.0295)
+    judged = optics.SECTION.judge([row | {"name": name} for row, name in zip(rows, both, strict=True)])
+    assert [row["ms"] for row in judged] == [250.0, 250.0]
 
 
 @pytest.mark.parametrize("name", ["ball_force.csv", "hemisphere_force.csv"])
