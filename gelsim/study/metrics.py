@@ -102,7 +102,7 @@ for _signal in ("slope", "picture"):
         ("unknown_press", "d' per Shore point, force and depth unknown"),
         ("change", "change of a pixel per Shore point / noise"),
     ):
-        METRICS[f"{_signal}_{_what}"] = Metric(_said, _dprime(_signal, _what))
+        METRICS[f"{_signal}_{_what}"] = Metric(f"{_signal}: {_said}", _dprime(_signal, _what))
 
 
 # ---- photometric stereo (study.photometric) ----

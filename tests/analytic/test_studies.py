@@ -7,12 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gelsim.errors import SceneError
 from gelsim.ledger import Row
 from gelsim.materials import modulus_from_shore_00
-from gelsim.membrane import GRID_SPACING
+from gelsim.membrane import GRID_SPACING, rest_membrane
+from gelsim.optics import height_map
+from gelsim.optics.camera import pixel_size
 from gelsim.optics.isp import srgb_tone
+from gelsim.results import Frame, Membrane
 from gelsim.study import runner, visible
 from gelsim.study.definition import load_study, nested
+from gelsim.study.discrimination import SLOPE_NOISE, sensitivity
 from gelsim.study.marker_force import press_field
 from gelsim.study.photometric import exposed
 from gelsim.study.texture import WAVELENGTH, texture_signal
@@ -74,6 +79,36 @@ def test_a_gel_sees_best_what_is_as_soft_as_itself(tmp_path: Path) -> None:
     assert change[17, 80] < 0.5 * change[17, 17]
     for row in seen.values():
         assert row["slope_unknown_press"] <= min(row["slope_equal_depth"], row["slope_equal_force"])
+
+
+@pytest.mark.slow
+def test_pictures_and_slopes_are_weighed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw(trial: Trial, membranes: list[Membrane]) -> list[Frame]:
+        """Pictures whose levels are 100 + 50 times the slopes in x (red) and y (green)."""
+        pixel, drawn = pixel_size(trial.scene), []
+        for each in membranes:
+            height = np.nan_to_num(height_map(trial.scene, each) - height_map(trial.scene, rest_membrane(trial.scene))).astype(float)
+            down, right = np.gradient(height, pixel)
+            levels = 100 + 50 * np.dstack([right, down, np.zeros_like(down)])
+            drawn.append(
+                Frame((levels / 255).astype(np.float32), np.zeros((1, 1, 3), np.uint8), height.astype(np.float32), np.zeros((0, 2)))
+            )
+        return drawn
+
+    monkeypatch.setattr(Trial, "draw", draw)
+    study = load_study("gel-hardness")
+    camera = {"tone": "linear", "exposure": 1.0, "white_balance": [1.0] * 3, "shading": [], "noise_sd": [4.0, 4.0, 4.0]}
+    trial = Trial((study.base, {"gel": {"shore_00": 17}, "object": {"shore_00": 40}, "camera": camera, "fidelity": "fast"}), "cpu")
+    picture, slope = sensitivity(trial, "picture"), sensitivity(trial, "slope")
+    # Levels over their noise are 50 / 4 times the slopes, slopes over theirs 1 / SLOPE_NOISE. Heights are single precision: of 1 mm, 1e-7
+    # of a pixel of 0.1 mm and in a difference of slopes of 1e-3, 1e-3 at most.
+    share = 50 / 4 * SLOPE_NOISE
+    for name in ("equal_depth", "equal_force", "unknown_press"):
+        assert getattr(picture, name) == pytest.approx(share * getattr(slope, name), rel=2e-3)
+    # `change` is a mean over three channels here, of which one is still; touched are the same two.
+    assert picture.change == pytest.approx(share * slope.change, rel=2e-3)
+    with pytest.raises(SceneError, match="without noise everything"):
+        sensitivity(trial.beside({"camera.noise_sd": [0.0, 0.0, 0.0]}), "picture")
 
 
 @pytest.mark.slow

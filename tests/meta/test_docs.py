@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from gelsim.study import STUDIES
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -54,6 +56,17 @@ def test_documented_parameters_exist() -> None:
     text = "Does.\n\n    Args:\n        a, c: Both.\n            more: words\n        b: It.\n    Returns:\n        d: e\n    "
     faulty = f'def f(a, *, b):\n    """{text}"""\n'
     assert list(unknown_parameters(faulty)) == ["f: c"]
+
+
+def test_every_study_has_its_section_and_its_quick_form_is_run() -> None:
+    sections = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8").split("\n## ")
+    tests = (ROOT / "tests" / "analytic" / "test_studies.py").read_text(encoding="utf-8")
+    for name in STUDIES:
+        (section,) = (text for text in sections if text.startswith(f"{name}\n"))
+        assert f"![{name}](images/study_{name}.png)" in section
+        assert re.search(rf"^    gelsim study {name}( --workers \d+)?$", section, re.MULTILINE)
+        assert re.search(r"^\d+ cases, \d+ s of wall time summed over them, 2 cores", section, re.MULTILINE)
+        assert f'rows("{name}", tmp_path)' in tests, f"{name} --quick is not run"
 
 
 def test_the_readme_points_at_what_there_is() -> None:
