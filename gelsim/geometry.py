@@ -258,3 +258,31 @@ def enclosed_volume(surface: TriMesh) -> float:
     points = np.vstack([surface.vertices, surface.vertices.mean(axis=0)])
     cells = np.hstack([np.full((len(surface.faces), 1), len(surface.vertices)), surface.faces])
     return float(tet_volumes(points, cells.astype(np.int32)).sum())
+
+
+def mirrored(mesh: TetMesh, symmetry: frozenset[str]) -> TetMesh:
+    """The mesh with its mirror images in all planes but those of `symmetry`."""
+    for axis in sorted(mesh.symmetry - symmetry):
+        mesh = mirror(mesh, axis)
+    return mesh
+
+
+def unfolded(curved: NDArray[np.float64], tets: NDArray[np.int32], most: float) -> NDArray[np.float64]:
+    """Nodes whose middles are put back to straight where they lie more than `most` edge lengths off, or where they would fold a tet."""
+    ends = np.zeros((len(curved), 2), np.int64)
+    ends[tets[:, 4:]] = tets[:, TET_EDGES]
+    straight = curved[ends].mean(axis=1)
+    vertex = np.setdiff1d(np.arange(len(curved)), tets[:, 4:])
+    straight[vertex] = curved[vertex]
+    length = np.linalg.norm(curved[ends[:, 1]] - curved[ends[:, 0]], axis=1)
+    # Straight middles as they come would differ by rounding from a node that is already on its plane.
+    bent = np.linalg.norm(curved - straight, axis=1)
+    out = np.where((bent > most * length)[:, None], straight, curved)
+    reference = 6.0 * tet_volumes(curved, tets)[:, None]
+    while True:
+        folded = (jacobian_determinants(out, tets) < 0.1 * reference).any(axis=1)
+        back = np.unique(tets[folded, 4:])
+        back = back[(bent[back] > 1e-12) & (out[back] != straight[back]).any(axis=1)]
+        if not len(back):
+            return out
+        out[back] = straight[back]

@@ -1,4 +1,4 @@
-"""Fills the gel and the object with ten-node tetrahedra, fine where they meet and coarse where they do not.
+"""Fills the object with ten-node tetrahedra, fine where it meets the gel and coarse where it does not.
 
 The filling is fTetWild's (Hu et al. 2020) through pytetwild, with the size field of `gelsim.sizing`. What comes back is turned right side
 out, its boundary put exactly onto the planes and curved patches of the shape (fTetWild keeps only within an envelope of it), and given
@@ -7,11 +7,10 @@ mid-side nodes that lie on the exact shape.
 A skin and grains are filled together with the body: their surfaces are given to fTetWild too, which keeps them, each tet's material is told
 by the winding number of its middle, and interfaces are put onto their exact shape like the boundary.
 
-A symmetric body is meshed as the part its mirror planes cut out and mirrored up to what is asked for. Under a shape drawn along y both
-bodies are meshed in a space squeezed along y and stretched back: tets are long where nothing changes. The gel is always meshed as a flat
-block; a dome is the image of that block under z ↦ (z + T)(T + height(x, y)) / T - T, exact on its faces.
+A symmetric body is meshed as the part its mirror planes cut out and mirrored up to what is asked for. A shape drawn along y is meshed in a
+space squeezed along y and stretched back: tets are long where nothing changes.
 
-Left out: adaptivity (the press itself reports its error).
+Left out: adaptivity (the press itself reports its error). The gel: `gelsim.gel_mesh`.
 """
 
 from __future__ import annotations
@@ -32,44 +31,38 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.contact_area import contact_field, cut_pieces, edge_in_contact, footprint
 from gelsim.errors import MeshingError
 from gelsim.files import whole_file
 from gelsim.geometry import (
     AXES,
-    TET_EDGES,
     TetMesh,
     TriMesh,
     flip,
     interface_faces,
-    is_closed,
     jacobian_determinants,
-    mirror,
+    mirrored,
     outer_faces,
     quadratic_tets,
     region_volumes,
     tet_quality,
     tet_volumes,
+    unfolded,
     winding_numbers,
 )
 from gelsim.inclusions import Inclusion, inclusions
-from gelsim.scene import Body, Gel, Scene
+from gelsim.scene import Body, Scene
 from gelsim.shapes import (
-    DRAWN,
     RELIEFS,
-    TURNED,
-    fine_feature,
-    gel_height,
     load_mesh,
-    placement,
     press_depth,
-    rigid_surface,
     shape_symmetry,
     sharp_edges,
     solid,
     wall,
 )
-from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField, class_above, class_below, contact_edge
-from gelsim.solids import Array, Plane, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
+from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, MeshSizes, SizeField
+from gelsim.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
 _SCHEMA = 2
@@ -82,58 +75,16 @@ _COARSE = np.radians(30.0)
 """Angle between the corners of a turned object before its surface is refined: at 15 degrees a foot would get edges of a quarter radius."""
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
-_ALONG = 5.0
-"""Twist [degrees] up to which a drawn object still lies along the long sides of tets: turned by it, 3 : 1 becomes 2.9 : 1.1."""
 _ATTEMPTS = ((0.05, 10.0, 20), (0.02, 6.0, 80), (0.1, 6.0, 80))
 """How far fTetWild may move the surface before its vertices are put back, per smallest edge length; its AMIPS energy to stop at (a
 regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more tets."""
 
 Progress = Callable[[str], None]
-Image = Callable[[TetMesh], TetMesh]
 Within = tuple[tuple[Inclusion, TriMesh], ...]
 """What lies inside an object, with the facets that fTetWild is given for it."""
 
 
-# ---------------------------------------------------------------------------------------------------------------- the two bodies
-def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None) -> TetMesh:
-    """The gel, cut at the planes of `symmetry`; groups "bonded" (inner face), "coated" (outer face) and "side".
-
-    Args:
-        progress: Told in one line what is being meshed, when it is not in the cache; None writes it to stderr if that is a terminal.
-    Raises:
-        SceneError: The gel's fields make no solid.
-        MeshingError: The filling failed or is of too low quality.
-    """
-    sizes, area = SIZES[scene.fidelity], footprint(scene)
-    x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
-    edge = _contact_edge(scene, area)
-    rims = _touching(scene, sharp_edges(scene.object))
-    field = _field(area, -min(0.5 * thickness, 0.5 * min(area.high)), 0.0, edge, sizes, sizes.gel_far, rims)
-    # A quarter, then its mirror images; along an axis at whose one side all the contact lies the whole, for its image would be wasted.
-    left, near = (end if side else 0.0 for side, end in zip(area.side, (x, y), strict=True))
-    planes = (((0, 0, 1), 0), ((0, 0, -1), thickness), ((1, 0, 0), x), ((0, 1, 0), y), ((-1, 0, 0), left), ((0, -1, 0), near))
-    block = Solid(
-        tuple(Plane(normal, offset) for normal, offset in planes),
-        ("coated", "bonded", "side", "side", "side" if left else "x", "side" if near else "y"),
-        np.array([[i, j, k] for i in (-left, x) for j in (-near, y) for k in (-thickness, 0.0)]),
-    )
-    vertices, faces, _ = solid_surface(block, np.inf, np.inf)
-    fences = _fences(rims, field.rim, area)
-    surface = TriMesh(np.vstack([vertices, fences.vertices]), np.vstack([faces, fences.faces + len(vertices)]).astype(np.int32))
-    mesh = _cached_fill(surface, block, field, area.stretch, "the gel", progress, image=lambda flat: _domed(scene.gel, flat))
-    for axis, side in zip("xy", area.side, strict=True):
-        mesh = flip(mesh, axis) if side < 0 else mesh
-    return _mirrored(mesh, symmetry)
-
-
-def _domed(gel: Gel, block: TetMesh) -> TetMesh:
-    """The flat block under the gel's outer face."""
-    thickness, nodes = gel.thickness_mm * MM, block.rest_positions.copy()
-    share = (nodes[:, 2] + thickness) / thickness
-    nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(gel, nodes[:, :2])) - thickness)
-    return TetMesh(_unfolded(nodes, block.tets, 1.0), block.tets, block.groups, block.symmetry)
-
-
+# ---------------------------------------------------------------------------------------------------------------- the object
 def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None) -> TetMesh:
     """The object in its own frame, cut at the planes of `symmetry`; groups "base" (top plane) and "contact" (all else but the cut planes).
 
@@ -145,7 +96,7 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
-    edge = OBJECT_COARSER * _contact_edge(scene, area)
+    edge = OBJECT_COARSER * edge_in_contact(scene, area)
     within: tuple[Inclusion, ...] = ()
     # As of the gel: no mirror image where one side alone is touched.
     side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
@@ -159,12 +110,12 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
         narrow = float(np.ptp(solid(body).hull, axis=0).min())
     # Away from contact a tall object is a spring, but it needs two or three quadratic edges across to bend and stay round.
     far = max(edge, min(sizes.object_far, narrow / 2.5))
-    rims = _cut(sharp_edges(body), min(edge, sizes.rim))
+    rims = cut_pieces(sharp_edges(body), min(edge, sizes.rim))
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
     uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
     box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, 0.5 * press_depth(scene) + uneven
-    field = _field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
+    field = contact_field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
     inner: list[TriMesh] = []
     if surface is None:
         assert shape is not None
@@ -175,13 +126,7 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     mesh = _cached_fill(surface, shape, field, stretch, label, progress, tuple(zip(within, inner, strict=True)))
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh
-    return _mirrored(mesh, symmetry)
-
-
-def _contact_edge(scene: Scene, area: Footprint) -> float:
-    """Edge length in contact [m], short enough for the waves of an uneven object."""
-    sizes = SIZES[scene.fidelity]
-    return min(contact_edge(area, sizes), fine_feature(scene.object) / sizes.divisions)
+    return mirrored(mesh, symmetry)
 
 
 def _seams(body: Body, shape: Solid | None, within: tuple[Inclusion, ...], sizes: MeshSizes) -> tuple[Array, float]:
@@ -197,76 +142,6 @@ def _seams(body: Body, shape: Solid | None, within: tuple[Inclusion, ...], sizes
         near = patch_distances(hollow, points[-1]).min(axis=1) < 1.5 * wall(body)
         points[-1] = points[-1][near]
     return np.vstack(points), size
-
-
-def _field(area: Footprint, bottom: float, top: float, edge: float, sizes: MeshSizes, far: float, rims: Array,
-           seams: tuple[Array, float] = (np.zeros((0, 3)), np.inf)) -> SizeField:  # fmt: skip
-    rounding = min(area.high) if area.round else 0.0
-    rim = min(edge, sizes.rim if len(rims) or not len(seams[0]) else np.inf, seams[1])
-    points = np.vstack([_cut(rims, rim).reshape(-1, 3), seams[0]])
-    folded = area.folded(points)
-    _, first = np.unique(np.round(folded / (0.1 * rim)), axis=0, return_index=True)
-    corners = (*area.low, bottom), (*area.high, top)
-    mirrored = (not area.side[0], not area.side[1])
-    return SizeField(*corners, edge, sizes.growth, far, rounding, rim, sizes.rim_growth, folded[np.sort(first)], mirrored)
-
-
-def _cut(pieces: Array, longest: float) -> Array:
-    """Straight pieces (K, 2, 3) cut into ones no longer than `longest`."""
-    steps = np.maximum(1, np.ceil(np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) / longest * (1 - 1e-9)).astype(int))
-    lines = [a + np.linspace(0.0, 1.0, n + 1)[:, None] * (b - a) for (a, b), n in zip(pieces, steps, strict=True)]
-    return np.vstack([np.zeros((0, 2, 3)), *(np.stack([line[:-1], line[1:]], axis=1) for line in lines)])
-
-
-def _touching(scene: Scene, pieces: Array) -> Array:
-    """Where edges of the object (K, 2, 3) meet the gel's flat block when pressed into it; those over its border do not count."""
-    turn, shift = placement(scene, rigid_surface(scene, frozenset()))
-    placed = _cut(pieces, 0.5 * MM) @ turn.T + shift
-    inside = (np.abs(placed[..., :2]) < np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3)).all(axis=(1, 2))
-    placed = placed[inside]
-    gap = placed[..., 2] - gel_height(scene.gel, placed[..., :2].reshape(-1, 2)).reshape(-1, 2)
-    placed = placed[(gap < press_depth(scene)).all(axis=1)]
-    placed[..., 2] = 0.0
-    return placed
-
-
-def _fences(pieces: Array, depth: float, area: Footprint) -> TriMesh:
-    """Upright strips below pieces (K, 2, 3) of the plane z = 0, folded as the area is: fTetWild keeps them, so edges lie along."""
-    folded = area.folded(pieces)
-    crosses = ((pieces[:, 0, :2] * pieces[:, 1, :2] < -1e-18) & (np.array(area.side) == 0)).any(axis=1)
-    long = np.linalg.norm(folded[:, 1] - folded[:, 0], axis=1) > 1e-6
-    tops = folded[long & ~crosses]
-    _, first = np.unique(np.round(np.sort(tops, axis=1) * 1e9), axis=0, return_index=True)
-    tops = tops[np.sort(first)]
-    corners = np.concatenate([tops, tops - [0.0, 0.0, depth]], axis=1).reshape(-1, 3)
-    faces = (4 * np.arange(len(tops))[:, None, None] + np.array([[0, 1, 3], [0, 3, 2]])).reshape(-1, 3)
-    vertices, index = np.unique(np.round(corners, 12), axis=0, return_inverse=True)
-    return TriMesh(vertices.reshape(-1, 3), index.ravel()[faces].astype(np.int32).reshape(-1, 3))
-
-
-def footprint(scene: Scene) -> Footprint:
-    """The undeformed overlap at full depth with a margin for drape and tangential travel, in classes."""
-    surface = rigid_surface(scene, frozenset())
-    turn, shift = placement(scene, surface)
-    points = surface.nodes @ turn.T + shift
-    half = np.array(scene.gel.size_mm) * MM / 2
-    over = (np.abs(points[:, :2]) <= half).all(axis=1)
-    touched = points[over & (points[:, 2] - gel_height(scene.gel, points[:, :2]) < press_depth(scene))][:, :2]
-    if not len(touched):
-        touched = shift[None, :2]
-    margin = 0.1 * MM + np.abs(scene.press.shear_mm) * MM
-    low, high = touched.min(axis=0) - margin, touched.max(axis=0) + margin
-    inner = np.maximum(0.0, np.maximum(low, -high))
-    outer = np.maximum(-low, high)
-    high_class = np.minimum([class_above(v) for v in outer], half)
-    low_class = [class_below(v) for v in inner]
-    width = high_class - low_class
-    drawn = scene.object.shape in DRAWN and abs(scene.press.twist_deg) <= _ALONG
-    stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
-    round_area = scene.object.shape in TURNED and not any(low_class)
-    side_x, side_y = (int(np.sign(h)) if each else 0 for each, h in zip(low_class, low + high, strict=True))
-    corners = (float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1]))
-    return Footprint(*corners, stretch, round_area, (side_x, side_y))
 
 
 def mesh_report(mesh: TetMesh, parts: tuple[str, ...] = ()) -> dict[str, object]:
@@ -289,18 +164,9 @@ def _volumes(mesh: TetMesh, parts: tuple[str, ...]) -> dict[str, float]:
     return {name: float(2 ** len(mesh.symmetry) * v / MM**3) for name, v in zip(parts, region_volumes(mesh), strict=True)}
 
 
-def _mirrored(mesh: TetMesh, symmetry: frozenset[str]) -> TetMesh:
-    for axis in sorted(mesh.symmetry - symmetry):
-        mesh = mirror(mesh, axis)
-    return mesh
-
-
 # ---------------------------------------------------------------------------------------------------------------- filling
-def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, within: Within = (),
-          image: Image | None = None) -> TetMesh:  # fmt: skip
-    """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come).
-
-    They are such that none folds under `image`: a long flat tet of good quality may, where that bends it."""
+def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, within: Within = ()) -> TetMesh:
+    """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
     smallest = min(field.contact, field.rim)
@@ -323,7 +189,7 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
             fault = f"one of quality {quality.min():.3g}; allowed: above {_WORST_QUALITY:g}"
             continue
         mesh = _ten_node(vertices, tets, regions, shape, within, faces, patch, label)
-        smallest = _smallest_jacobian(mesh, image)
+        smallest = float(jacobian_determinants(mesh.rest_positions, mesh.tets).min())
         if smallest > 0.0:
             return mesh
         fault = f"a folded one (smallest Jacobian {smallest / MM**3:.3g} mm³)"
@@ -343,12 +209,6 @@ def _ten_node(vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int3
     roles = np.array(shape.roles)[patch[: len(boundary)]]
     groups = {role: boundary[roles == role] for role in sorted(set(shape.roles) - set(AXES))}
     return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES), regions)
-
-
-def _smallest_jacobian(mesh: TetMesh, image: Image | None) -> float:
-    """Of a filling as it will be used [m³]; a tet folds where it is not positive."""
-    used = image(mesh) if image else mesh
-    return float(jacobian_determinants(used.rest_positions, used.tets).min())
 
 
 def _regions(vertices: Array, tets: NDArray[np.int32], within: Within) -> NDArray[np.int32]:
@@ -377,14 +237,12 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
     envelope, energy, passes = attempt
     lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     diagonal = float(np.linalg.norm(upper - lower))
-    fenced = not is_closed(surface.faces)  # a block with strips in it: its winding number would not tell inside from outside beside them
     points, cells, values = field.background(lower - 0.05 * diagonal, upper + 0.05 * diagonal)
     with tempfile.TemporaryDirectory() as folder:
         given = {  # in millimetres: some of its tolerances are absolute
             "vertices": surface.vertices / MM, "faces": surface.faces,
             "bg_vertices": points / MM, "bg_tets": cells, "bg_values": values / LONGER / MM, "edge_length_abs": field.far / LONGER / MM,
             "epsilon": envelope * min(field.contact, field.rim) / diagonal, "stop_energy": energy, "num_opt_iter": passes,
-            "disable_filtering": fenced,
         }  # fmt: skip
         np.savez(Path(folder) / "in.npz", **{name: np.asarray(value) for name, value in given.items()})  # type: ignore[arg-type]
         child = subprocess.run([sys.executable, "-c", _CHILD], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
@@ -394,9 +252,6 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
             raise MeshingError(f"filling {label} with tetrahedra failed ({said}); try to close and clean its surface")
         with np.load(out, allow_pickle=False) as stored:
             filled, tets = stored["vertices"], stored["tets"]
-    if fenced:
-        centre = filled[tets].mean(axis=1) * MM
-        tets = tets[((centre > lower) & (centre < upper)).all(axis=1)]
     if not len(tets):
         raise MeshingError(f"filling {label} left no tetrahedron: its surface encloses nothing; try to close it and check its orientation")
     used, tets = np.unique(tets, return_inverse=True)
@@ -447,28 +302,7 @@ def _curved(
     curved = nodes.copy()
     curved[on] = snap(shape.patches, nodes[on], member[on])
     zero_cuts(shape, curved, member)
-    return _unfolded(curved, tets, _MOST_CURVED)
-
-
-def _unfolded(curved: Array, tets: NDArray[np.int32], most: float) -> Array:
-    """Nodes whose middles are put back to straight where they lie more than `most` edge lengths off, or where they would fold a tet."""
-    ends = np.zeros((len(curved), 2), np.int64)
-    ends[tets[:, 4:]] = tets[:, TET_EDGES]
-    straight = curved[ends].mean(axis=1)
-    vertex = np.setdiff1d(np.arange(len(curved)), tets[:, 4:])
-    straight[vertex] = curved[vertex]
-    length = np.linalg.norm(curved[ends[:, 1]] - curved[ends[:, 0]], axis=1)
-    # Straight middles as they come would differ by rounding from a node that is already on its plane.
-    bent = np.linalg.norm(curved - straight, axis=1)
-    out = np.where((bent > most * length)[:, None], straight, curved)
-    reference = 6.0 * tet_volumes(curved, tets)[:, None]
-    while True:
-        folded = (jacobian_determinants(out, tets) < 0.1 * reference).any(axis=1)
-        back = np.unique(tets[folded, 4:])
-        back = back[(bent[back] > 1e-12) & (out[back] != straight[back]).any(axis=1)]
-        if not len(back):
-            return out
-        out[back] = straight[back]
+    return unfolded(curved, tets, _MOST_CURVED)
 
 
 def _mesh_groups(nodes: Array, boundary: NDArray[np.int32], label: str) -> dict[str, NDArray[np.int32]]:
@@ -490,19 +324,19 @@ def cache_folder() -> Path:
 
 
 def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, progress: Progress | None,
-                 within: Within = (), image: Image | None = None) -> TetMesh:  # fmt: skip
-    """`_fill` from the cache, under `image`, which it does not depend on: a filling made for one that folds under another is made anew."""
+                 within: Within = ()) -> TetMesh:  # fmt: skip
+    """`_fill` from the cache."""
     key = _key(surface, shape, field, stretch, within)
     path = cache_folder() / f"{key}.npz"
     mesh = _read(path)
-    if mesh is None or _smallest_jacobian(mesh, image) <= 0.0:
+    if mesh is None:
         (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
-        mesh = _fill(surface, shape, field, stretch, label, within, image)
+        mesh = _fill(surface, shape, field, stretch, label, within)
         try:
             _write(path, mesh)
         except OSError as error:  # a full or read-only cache costs time, not the result
             (progress or _say)(f"the mesh of {label} is not kept: {path.parent} cannot be written ({error.strerror})")
-    return image(mesh) if image else mesh
+    return mesh
 
 
 def _say(line: str) -> None:

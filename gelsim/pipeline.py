@@ -173,7 +173,7 @@ def _at(scene: Scene, name: str) -> Scene:
 def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
     """Meshes of gel and object, of a rigid one its surface, and the object's placement at first touch."""
     with record.stage("import"):
-        from gelsim import meshing, shapes
+        from gelsim import gel_mesh, meshing, shapes
     with record.stage("mesh"):
         if scene.object.mesh:
             _check_depth(scene, scene.object.mesh)
@@ -185,7 +185,7 @@ def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[Tet
             body = meshing.mesh_object(scene, symmetry)
             surface = body.surface("contact")
             record.meshes["object"] = meshing.mesh_report(body, materials.parts(scene.object))
-        gel = meshing.mesh_gel(scene, symmetry)
+        gel = gel_mesh.mesh_gel(scene, symmetry)
         record.meshes["gel"] = meshing.mesh_report(gel)
         placement = shapes.placement(scene, surface)
         return gel, body, placement

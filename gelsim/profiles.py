@@ -5,7 +5,7 @@ until no edge is longer than the sizes of `gelsim.sizing` allow, divided by `FIN
 the smallest angle. New points of curved edges go onto the exact arc; mid-side nodes too. Nothing is drawn by lot, and it takes
 milliseconds, so nothing is cached.
 
-The gel is a flat block, mapped to a dome as in `gelsim.meshing`. A body of revolution presses a disc of the gel instead of its square,
+The gel is a flat block, mapped to a dome as in `gelsim.gel_mesh`. A body of revolution presses a disc of the gel instead of its square,
 `gel_radius`. Sharp rims of the object that touch the gel end a gel edge and are refined around.
 
 Left out: profiles that are not convex, mesh files.

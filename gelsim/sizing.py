@@ -5,8 +5,8 @@
 
 The area is the overlap of the undeformed object and gel at full depth plus a margin for drape and tangential travel; its half widths are
 rounded up to a few classes, so that one gel mesh serves many presses. A rim is a sharp convex edge of the object that lies in the area:
-there the pressure of a rigid body has its peak, and faces of the gel that straddle the edge let it through. fTetWild takes h as the nodal
-values of a background mesh.
+there the pressure of a rigid body has its peak, and faces of the gel that straddle the edge let it through. For objects fTetWild
+takes h as the nodal values of a background mesh; the gel's bisection asks for it at corners.
 
 Left out: rims that only come into contact by deformation or travel.
 """

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelsim import fem, materials, meshing, shapes, sizing
+from gelsim import fem, gel_mesh, materials, meshing, shapes, sizing
 from gelsim.scene import Body, Contact, Gel, Press, Scene
 
 REFERENCE = Path(__file__).parents[2] / "assets" / "reference"
@@ -63,7 +63,7 @@ def main(fidelity: str, case: str) -> dict[str, float]:
     scene = scene_of(case, fidelity)
     planes = shapes.press_symmetry(scene)
     start = time.perf_counter()
-    gel = meshing.mesh_gel(scene, planes)
+    gel = gel_mesh.mesh_gel(scene, planes)
     rigid = scene.object.rigid
     body = shapes.rigid_surface(scene, planes) if rigid else meshing.mesh_object(scene, planes)
     meshed = time.perf_counter()

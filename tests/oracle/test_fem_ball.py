@@ -98,11 +98,11 @@ def test_a_locking_element_is_seen(nu: float) -> None:
 @pytest.mark.slow
 def test_ball_force_on_a_real_mesh() -> None:
     """The same through fTetWild's unstructured mesh, as users get it by default (its scatter at `fast` can exceed 5 % at 0.1 mm)."""
-    from gelsim import meshing, shapes
+    from gelsim import gel_mesh, shapes
 
     scene = ball_scene(0.6, 7, fidelity="balanced")
     assert shapes.press_symmetry(scene) == {"x", "y"}
-    gel = meshing.mesh_gel(scene, frozenset("xy"))
+    gel = gel_mesh.mesh_gel(scene, frozenset("xy"))
     _, press = solved(problem_of(scene, gel, rigid_body(scene, gel)))
     for state, depth in enumerate(AXISYMMETRIC, 1):
         assert -press.force[state, 2] == pytest.approx(AXISYMMETRIC[depth][0], rel=ALLOWED)
@@ -113,12 +113,12 @@ def test_soft_hemisphere_on_real_meshes() -> None:
     """Two soft bodies: E = 200 kPa, R = 5 mm, 25 mm tall, base driven 0.6 mm (same sources; codes agree within 0.5 %)."""
     from dataclasses import replace
 
-    from gelsim import meshing
+    from gelsim import gel_mesh, meshing
     from gelsim.scene import Body
 
     scene = ball_scene(0.6, 4, fidelity="balanced")
     scene = replace(scene, object=Body(shape="hemisphere", radius_mm=5.0, height_mm=25.0, youngs_modulus_kpa=200.0))
-    gel, body = meshing.mesh_gel(scene, frozenset("xy")), meshing.mesh_object(scene, frozenset("xy"))
+    gel, body = gel_mesh.mesh_gel(scene, frozenset("xy")), meshing.mesh_object(scene, frozenset("xy"))
     _, press = solved(problem_of(scene, gel, body))
     for state, wanted in ((1, 0.0183302), (2, 0.0558856), (3, 0.106384)):
         assert -press.force[state, 2] == pytest.approx(wanted, rel=ALLOWED)

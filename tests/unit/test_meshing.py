@@ -1,4 +1,4 @@
-"""Meshes of gel and object: whole, graded, on the exact shape, grouped, cached; and what cannot be filled."""
+"""Meshes of the object: whole, graded, on the exact shape, grouped, cached; and what cannot be filled."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,32 +7,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from mesh_fixtures import QUIET, assert_whole, scene
 
 from gelsim import meshing
 from gelsim.errors import MeshingError
 from gelsim.geometry import (
-    TET_EDGES,
-    TetMesh,
     TriMesh,
     enclosed_volume,
     interface_faces,
-    is_closed,
-    jacobian_determinants,
-    outer_faces,
     region_volumes,
-    split_faces,
-    tet_quality,
     volume,
 )
 from gelsim.inclusions import flesh
 from gelsim.materials import parts
-from gelsim.meshing import footprint, mesh_gel, mesh_object, mesh_report
+from gelsim.meshing import mesh_object, mesh_report
 from gelsim.scene import Body, Gel, Grains, Press, Scene, Skin
-from gelsim.shapes import gel_height, object_surface, project, shape_symmetry, solid
-from gelsim.sizing import SIZES, SizeField, contact_edge
+from gelsim.shapes import object_surface, project, shape_symmetry, solid
+from gelsim.sizing import SizeField
 from gelsim.solids import patch_distances
-
-QUIET = lambda line: None  # noqa: E731
 
 
 @pytest.fixture(scope="session")
@@ -44,27 +36,6 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cache(_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("GELSIM_CACHE", str(_cache))
     yield _cache / "meshes"
-
-
-def scene(shape: str, profile: str = "dome", **press: object) -> Scene:
-    return Scene(object=Body(shape=shape, height_mm=12.0), gel=Gel(profile=profile), press=Press(**press), fidelity="fast")  # type: ignore[arg-type]
-
-
-def assert_whole(mesh: TetMesh) -> None:
-    """Right side out, closed, every face in one group or on a symmetry plane, its nodes exactly there."""
-    assert jacobian_determinants(mesh.rest_positions, mesh.tets).min() > 0
-    assert tet_quality(mesh.rest_positions, mesh.tets).min() > 0.02
-    faces = outer_faces(mesh.tets)
-    assert is_closed(split_faces(faces))
-    named = [tuple(sorted(face)) for group in mesh.groups.values() for face in group]
-    assert len(set(named)) == len(named)
-    rest = np.array([face for face in faces if tuple(sorted(face)) not in set(named)]).reshape(-1, 6)
-    assert len(rest) + len(named) == len(faces)
-    on_plane = np.zeros(len(rest), bool)
-    for axis in mesh.symmetry:
-        on_plane |= (mesh.rest_positions[rest][:, :, "xy".index(axis)] == 0.0).all(axis=1)
-        assert mesh.rest_positions[:, "xy".index(axis)].min() == 0.0
-    assert on_plane.all()
 
 
 OBJECTS = [  # volume in mm³ by hand, of shapes 12 mm tall
@@ -160,92 +131,8 @@ def test_the_apex_is_a_node() -> None:
         assert mesh.rest_positions[:, 2].min() == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("profile", ["flat", "dome"])
-def test_gel(profile: str) -> None:
-    mesh = mesh_gel(scene("hemisphere", profile), frozenset("xy"), QUIET)
-    assert set(mesh.groups) == {"bonded", "coated", "side"}
-    assert_whole(mesh)
-    bonded, coated = mesh.surface("bonded").nodes, mesh.surface("coated").nodes
-    assert (bonded[:, 2] == -2.4e-3).all()
-    gel = Gel(profile=profile)
-    vertices = mesh.rest_positions[np.unique(mesh.groups["coated"][:, :3])]
-    assert np.abs(vertices[:, 2] - gel_height(gel, vertices[:, :2])).max() < 1e-15
-    off = np.abs(coated[:, 2] - gel_height(gel, coated[:, :2]))
-    inside = np.hypot(coated[:, 0], coated[:, 1]) < 11e-3  # away from the crease of the corner's land
-    assert off[inside].max() < 1e-15
-    if profile == "flat":
-        assert volume(mesh) * 1e9 == pytest.approx(12.5 * 12.5 * 2.4, rel=1e-12)
-    sides = mesh.surface("side").nodes
-    assert (np.abs(np.abs(sides[:, :2]).max(axis=1) - 12.5e-3) < 1e-15).all()
-
-
-def test_mirrored_meshes_are_symmetric() -> None:
-    quarter, whole = (mesh_gel(scene("hemisphere"), planes, QUIET) for planes in (frozenset("xy"), frozenset()))
-    assert not whole.symmetry
-    assert volume(whole) == pytest.approx(4 * volume(quarter), rel=1e-12)
-    assert_whole(whole)
-    nodes = np.unique(whole.rest_positions + 0.0, axis=0)  # + 0.0: -0 counts as 0
-    assert len(nodes) == len(whole.rest_positions)
-    for axis in (0, 1):
-        image = nodes * np.where(np.arange(3) == axis, -1.0, 1.0) + 0.0
-        assert np.array_equal(np.unique(image, axis=0), nodes)
-
-
-@pytest.mark.parametrize(("shape", "low", "high"), [("punch", 0.7, 4 / 3), ("cone", 0.5, 4.0)])
-def test_edges_follow_the_size_field(shape: str, low: float, high: float) -> None:
-    given = scene(shape, "flat")
-    mesh = mesh_gel(given, frozenset("xy"), QUIET)
-    edges = np.unique(np.sort(np.concatenate([mesh.tets[:, pair] for pair in TET_EDGES]), axis=1), axis=0)
-    ends = mesh.rest_positions[edges]
-    length, middle = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), ends.mean(axis=1)
-    reach = np.linalg.norm(middle[:, :2], axis=1)
-    area, sizes = footprint(given), SIZES["fast"]
-    contact = contact_edge(area, sizes)
-    # fTetWild splits edges above 4 / 3 of what is asked and merges below 4 / 5, but not where that spoils a tet: a median of 600 edges
-    # under the punch lies between these but for a tenth (found: 0.82 to 0.85 in four meshes). Under the cone are only 34 to 66 edges and
-    # the size grows at once: one halving too many, one too few and one for the last coarsening are let through (found: 1.7 to 3.0 in 24).
-    # Far away the gel's own 2.4 mm bound the edges across it.
-    box = (reach < area.high[0]) & (middle[:, 2] > -0.5 * area.high[0])
-    near, far = np.median(length[box]), np.median(length[reach > 10e-3])
-    assert low * contact < near < high * contact
-    assert 1.7 * near < far < 4 / 3 * sizes.gel_far
-
-
-def test_long_tets_under_a_cylinder() -> None:
-    area = footprint(scene("cylinder"))
-    assert area.stretch >= 2 and area.high[1] > 2 * area.high[0]
-    assert footprint(scene("cylinder", twist_deg=3.0)).stretch >= 2
-    assert footprint(scene("cylinder", twist_deg=6.0)).stretch == 1.0
-    mesh = mesh_gel(scene("cylinder"), frozenset("xy"), QUIET)
-    spans = np.ptp(mesh.rest_positions[mesh.tets[:, :4]], axis=1)
-    near = np.abs(mesh.rest_positions[mesh.tets[:, :4]].mean(axis=1)[:, 0]) < 3e-3
-    assert np.median(spans[near, 1] / spans[near, 0]) > 1.4
-
-
-def test_footprint_classes() -> None:
-    """Half widths sit on the classes; small changes of depth keep them, an offset moves the box and covers the patch."""
-    a, b = footprint(scene("hemisphere", "flat", depth_mm=0.95)), footprint(scene("hemisphere", "flat", depth_mm=1.0))
-    assert a == b
-    assert a.high[0] >= np.sqrt(2 * 5 * 1 - 1) * 1e-3  # the undeformed overlap of a ball of 5 mm at 1 mm
-    moved = footprint(scene("hemisphere", "flat", offset_mm=(7.0, 0.0)))
-    assert moved.low[0] <= 4e-3 and moved.high[0] >= 10e-3 and moved.low[1] == 0.0
-
-
 def test_contact_on_one_side_is_meshed_there_alone() -> None:
-    """Beside the middle there is no mirror image of what is fine; the press at the other side has the same mesh, mirrored."""
-    right, left = (scene("hemisphere", "flat", offset_mm=(x, 0.0)) for x in (7.0, -7.0))
-    assert footprint(right).side == (1, 0) and footprint(left).side == (-1, 0)
-    mesh, other = (mesh_gel(each, frozenset("y"), QUIET) for each in (right, left))
-    assert mesh.symmetry == frozenset("y")
-    assert np.array_equal(other.rest_positions, mesh.rest_positions * [-1.0, 1.0, 1.0])
-    assert_whole(other)
-    assert volume(other) == pytest.approx(volume(mesh), rel=1e-12)
-    top = mesh.rest_positions[np.unique(mesh.groups["coated"])]
-    beside = [int((np.abs(top[:, 0] - x) < 2e-3).sum()) for x in (7e-3, -7e-3)]
-    # Edges grow by 0.9 of the way from the area, 4 to 10 mm, to 5 mm: at the other side they are that long, some twelfth of the points but
-    # for the gel's thickness (found: 5.2 to 6.7 times fewer). A mirror image would have as many; fTetWild's meshes of one field differ by
-    # 1.6 in number (1,950 and 3,040 nodes were seen), squared 2.6.
-    assert beside[0] > 3 * beside[1]
+    """Beside the middle there is no mirror image of what is fine."""
     tilted = scene("cylinder", "flat", depth_mm=0.4, tilt_deg=(8.0, 0.0))
     body = mesh_object(tilted, frozenset("x"), QUIET)
     assert_whole(mesh_object(tilted, frozenset(), QUIET))
@@ -321,54 +208,3 @@ def test_what_cannot_be_filled_says_so() -> None:
     with pytest.raises(MeshingError, match=r"filling the object \(sheet\).*try") as caught:
         meshing._fill(sheet, None, field, 1.0, "the object (sheet)")
     assert "\n" not in str(caught.value)
-
-
-def test_a_fold_under_the_dome_is_filled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """fTetWild fills the flat block, and what it fills well may fold where the dome bends it: such a filling is a failed attempt."""
-    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path))
-    tetwild, domed, filled = meshing._tetwild, meshing._domed, []
-    found: list[np.ndarray] = []
-    folded = 1  # so many fillings fold
-
-    def counted(*given: object) -> object:
-        filled.append(given[2])
-        if not found:
-            found.extend(tetwild(*given))  # type: ignore[arg-type]
-        return [a.copy() for a in found]
-
-    def folding(gel: Gel, flat: TetMesh) -> TetMesh:
-        mesh = domed(gel, flat)
-        if len(filled) <= folded:  # the planted fold: an inner vertex beyond its neighbours
-            inner = np.setdiff1d(mesh.tets[:, :4], outer_faces(mesh.tets))[0]
-            mesh.rest_positions[inner, 0] += 5e-3
-        return mesh
-
-    monkeypatch.setattr(meshing, "_tetwild", counted)
-    monkeypatch.setattr(meshing, "_domed", folding)
-    assert_whole(mesh_gel(scene("hemisphere"), frozenset("xy"), QUIET))
-    assert filled == list(meshing._ATTEMPTS[:2])
-    # kept, and whole under one dome, it may fold under another: then it is filled anew as well
-    filled.clear()
-    folded = 0
-    told: list[str] = []
-    assert_whole(mesh_gel(scene("hemisphere"), frozenset("xy"), told.append))
-    assert filled == [meshing._ATTEMPTS[0]] and len(told) == 1
-    filled.clear()
-    folded = 9
-    with pytest.raises(MeshingError, match=r"filling the gel.*folded one \(smallest Jacobian -.*try another fidelity"):
-        mesh_gel(scene("hemisphere"), frozenset("xy"), QUIET)
-    assert filled == list(meshing._ATTEMPTS)
-
-
-def test_the_gel_has_edges_along_a_rim() -> None:
-    """A punch's rim: no face of the gel straddles it."""
-    punch = Body(shape="punch", radius_mm=3.0, rigid=True)
-    given = Scene(object=punch, gel=Gel(profile="flat"), press=Press(depth_mm=0.5), fidelity="fast")
-    mesh = mesh_gel(given, frozenset("xy"), QUIET)
-    assert_whole(mesh)
-    faces = mesh.groups["coated"][:, :3]
-    reach = np.hypot(*mesh.rest_positions[:, :2].T)[faces]
-    # fTetWild keeps the strip within its envelope of 0.05 rim edges, whose chords lie 10 µm inside the circle.
-    slack = 2 * 0.05 * SIZES["fast"].rim + 10e-6
-    straddling = (reach.min(axis=1) < 3e-3 - slack) & (reach.max(axis=1) > 3e-3 + slack)
-    assert not straddling.any()
