@@ -62,6 +62,11 @@ def test_taxim_is_measured_where_it_is_installed(tmp_path: Path, monkeypatch: py
     assert [row["ms"] for row in judged] == [250.0, 250.0]
 
 
+def test_a_quick_run_leaves_out_what_takes_long() -> None:
+    whole, quick = ({case.name for case in stability.SECTION.cases(Options(quick=quick, data=None))} for quick in (False, True))
+    assert whole - quick == set(stability.LONG) and quick < whole
+
+
 @pytest.mark.parametrize("name", ["ball_force.csv", "hemisphere_force.csv"])
 def test_references_have_the_rows_that_are_asked_for(name: str) -> None:
     rows = accuracy.reference_table(name)
