@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -54,7 +55,11 @@ def ball_scene(depth_mm: float, frames: int, nu: float = 0.499, friction: float 
 def problem_of(scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface) -> PressProblem:
     surface = body if isinstance(body, QuadraticSurface) else body.surface("contact")
     gel_material, object_material = materials.gel_material(scene), materials.object_material(scene)
-    return PressProblem(scene, gel, body, shapes.placement(scene, surface), gel_material, object_material, "cpu", tolerance=TOLERANCE)
+    problem = PressProblem(scene, gel, body, shapes.placement(scene, surface), gel_material, object_material, "cpu", tolerance=TOLERANCE)
+    # Contact multipliers take over from a rough solution, so how rough it is shows in the end: with rough steps a whole ball and its quarter
+    # differ by up to 0.9 µm of 300.
+    problem.options = replace(problem.options, exact_after=0)
+    return problem
 
 
 @lru_cache

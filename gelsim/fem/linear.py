@@ -150,11 +150,11 @@ class SymmetricSystem:
 
     # Friction couples few points: a handful of iterations. Where they fall short the step is inexact, and Newton corrects it.
     KRYLOV_TOLERANCE = 1e-3
-    KRYLOV_LIMIT = 12
+    KRYLOV_LIMIT = 20
     # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
     # factors. On one core, in three dimensions, these cost 20 to 40 products.
     FORCING = 0.03
-    WORN = 9
+    WORN = 14
     # |b - Kx|/|b| that an answer in float32 may have: 1e-6 to 8e-6 over the stability suite. One matrix of its cone had 9e-5, and Newton
     # took another path from there.
     POOR = 1e-5

@@ -22,7 +22,6 @@ from gelsim.fem.pattern import SymmetricPattern, build_pattern, pair_keys
 # A step with the last matrix saves its assembly. It is taken below this residual while the steps shrink it by so much.
 CHORD_BELOW = 0.05
 CHORD_DROP = 0.3
-EXACT_AFTER = 6  # iterations with rough steps (SymmetricSystem.step); where that was not enough, steps are exact
 FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
 MAX_LINE_SEARCH = 8
 LINE_SEARCH_DROP = 0.8  # the slope along the step must shrink to this share
@@ -35,6 +34,8 @@ Array = NDArray[np.float64]
 class NewtonOptions:
     tolerance: float = 1e-4
     max_iterations: int = 20
+    exact_after: int = 12
+    """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
 
 
 @dataclass
@@ -169,7 +170,7 @@ class Newton:
                 self.system.update(self.tangent(near))
             before = size
             coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
-            step = self.system.step(-residual.equations, coupling, exact=iteration >= EXACT_AFTER)
+            step = self.system.step(-residual.equations, coupling, exact=iteration >= self.options.exact_after)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
             trial, _ = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)
