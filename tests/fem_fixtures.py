@@ -56,8 +56,8 @@ def problem_of(scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface) -> 
     surface = body if isinstance(body, QuadraticSurface) else body.surface("contact")
     gel_material, object_material = materials.gel_material(scene), materials.object_material(scene)
     problem = PressProblem(scene, gel, body, shapes.placement(scene, surface), gel_material, object_material, "cpu", tolerance=TOLERANCE)
-    # Contact multipliers take over from a rough solution, so how rough it is shows in the end: with rough steps a whole ball and its quarter
-    # differ by up to 0.9 µm of 300.
+    # Contact multipliers take over from a rough solution, so how rough it is shows in the end: with rough steps a whole ball and its
+    # quarter differ by up to 0.9 µm of 300.
     problem.options = replace(problem.options, exact_after=0)
     return problem
 
