@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class NewtonOptions:
     tolerance: float = 1e-4
-    max_iterations: int = 20
-    exact_after: int = 12
+    max_iterations: int = 30
+    exact_after: int = 8
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
 
 

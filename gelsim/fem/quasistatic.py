@@ -34,7 +34,7 @@ Progress = Callable[[int, int], None]
 
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
-OVERLAP_MM = {"fast": 1e-2, "balanced": 5e-3, "reference": 5e-3}  # overlap above which another augmentation is tried
+OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FORCE_TOLERANCE = 2e-3  # of force_n
 SEARCH_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force
@@ -217,9 +217,7 @@ class _March:
             report = yield Request(reach)
             self._count(report)
             last, overlap = overlap, -float(contact.gap.numpy().min())
-            if (
-                overlap <= OVERLAP_MM[problem.scene.fidelity] or overlap > 0.7 * last
-            ):  # where a sharp edge cuts in, linear multipliers cannot do better
+            if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
                 break
         if report.status is SolveStatus.CONVERGED:
             return True
