@@ -20,8 +20,9 @@ from gelsim.results import Deformation
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene
 
-# Newton leaves 3e-4 of the contact force unbalanced at `fast`, once by itself and once in the batch. Found: 1e-4 and less.
-SAME = 1e-3
+# Newton leaves 1e-3 of the contact force unbalanced at `fast`, once by itself and once in the batch, and the multipliers take over from a
+# state that is off by more. Found: 1.5e-3 and less, on two fillings.
+SAME = 3e-3
 # The multipliers come from a rough solve, which ends elsewhere; a step may leave OVERLAP_MM = 5 µm either way. Found: 2.4 µm.
 SAME_PLACE = 5e-6
 # What sticks jumps where a point at the contact's edge just touches or just does not: single nodes there may be anywhere between (6.6 µm
