@@ -103,7 +103,7 @@ def relight(
             book.write(quietly=True)
             raise
         book.write()
-    return report_of(book, out, len(data), before, crew.count, time.perf_counter() - start)
+    return report_of(book, out, {row["index"] for row in data.rows}, before, crew.count, time.perf_counter() - start)
 
 
 def own_catalogue(data: Dataset, plan: str) -> Catalogue:

@@ -11,7 +11,7 @@ import importlib.metadata
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,16 +108,18 @@ def generate(
             book.write(quietly=True)
             raise
         book.write()
-    return {"plan": catalogue.plan.name, "seed": seed} | report_of(book, out, episodes, before, crew.count, time.perf_counter() - start)
+    return {"plan": catalogue.plan.name, "seed": seed} | report_of(
+        book, out, range(episodes), before, crew.count, time.perf_counter() - start
+    )
 
 
-def report_of(book: Book, out: Path, episodes: int, before: int, workers: int, seconds: float) -> dict[str, Any]:
-    """What the command reports of a run that came to its end; `before` of the `episodes` were known when it began."""
-    failed = [row for row in book.failures.values() if row["index"] < episodes]
+def report_of(book: Book, out: Path, asked: Collection[int], before: int, workers: int, seconds: float) -> dict[str, Any]:
+    """What the command reports of a run that came to its end; `before` of the episodes `asked` for were known when it began."""
+    failed = [row for row in book.failures.values() if row["index"] in asked]
     return {
-        "out": str(out), "episodes": book.count(episodes) - len(failed), "failed": len(failed), "asked": episodes, "failures": failed[:20],
-        "exit_code": 4 if len(failed) > MOST_FAILED * episodes else 0, "workers": workers, "seconds": round(seconds, 1),
-        "episodes_per_hour": round(3600 * (episodes - before) / max(seconds, 1e-9), 1),
+        "out": str(out), "episodes": sum(index in asked for index in book.known) - len(failed), "failed": len(failed), "asked": len(asked),
+        "failures": failed[:20], "exit_code": 4 if len(failed) > MOST_FAILED * len(asked) else 0, "workers": workers,
+        "seconds": round(seconds, 1), "episodes_per_hour": round(3600 * (len(asked) - before) / max(seconds, 1e-9), 1),
         "splits": {name: len(members) for name, members in book.splits().items()},
     }  # fmt: skip
 
