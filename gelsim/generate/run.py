@@ -108,9 +108,8 @@ def generate(
             book.write(quietly=True)
             raise
         book.write()
-    return {"plan": catalogue.plan.name, "seed": seed} | report_of(
-        book, out, range(episodes), before, crew.count, time.perf_counter() - start
-    )
+    report = report_of(book, out, range(episodes), before, crew.count, time.perf_counter() - start)
+    return {"plan": catalogue.plan.name, "seed": seed} | report
 
 
 def report_of(book: Book, out: Path, asked: Collection[int], before: int, workers: int, seconds: float) -> dict[str, Any]:
