@@ -62,7 +62,7 @@ def relight(
     if sensor is None:
         catalogue = own_catalogue(data, name)
         width, height = catalogue.plan.resolution
-        seen = sorted({catalogue.press(int(row["mechanics"])).sensor for row in data.rows})
+        seen = sorted({catalogue.press(number).sensor for number in {int(row["mechanics"]) for row in data.rows}})
         scenes = [catalogue.sensor_scene(number) for number in seen]
         seed = catalogue.seed
     else:

@@ -103,7 +103,7 @@ def generate(
                 if done.error:
                     raise WorkError(done.error)
                 if progress:
-                    progress("episodes", book.count(episodes), total)
+                    progress("episodes", book.count(range(episodes)), total)
         except BaseException:
             book.write(quietly=True)
             raise
@@ -116,7 +116,7 @@ def report_of(book: Book, out: Path, asked: Collection[int], before: int, worker
     """What the command reports of a run that came to its end; `before` of the episodes `asked` for were known when it began."""
     failed = [row for row in book.failures.values() if row["index"] in asked]
     return {
-        "out": str(out), "episodes": sum(index in asked for index in book.known) - len(failed), "failed": len(failed), "asked": len(asked),
+        "out": str(out), "episodes": book.count(asked) - len(failed), "failed": len(failed), "asked": len(asked),
         "failures": failed[:20], "exit_code": 4 if len(failed) > MOST_FAILED * len(asked) else 0, "workers": workers,
         "seconds": round(seconds, 1), "episodes_per_hour": round(3600 * (len(asked) - before) / max(seconds, 1e-9), 1),
         "splits": {name: len(members) for name, members in book.splits().items()},
@@ -266,8 +266,9 @@ class Book:
         """Episodes that need no work: done, or known to fail."""
         return set(self.rows) | set(self.failures)
 
-    def count(self, episodes: int) -> int:
-        return sum(index < episodes for index in self.known)
+    def count(self, asked: Collection[int]) -> int:
+        """How many of some episodes are done or failed."""
+        return sum(index in asked for index in self.known)
 
     def add(self, done: Done) -> None:
         for row, sums in done.rows:

@@ -10,7 +10,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import relit
 from gelsim.generate.relight import relight, sensor_scene
-from gelsim.generate.run import generate, make_worker, report_of
+from gelsim.generate.run import Book, generate, make_worker, report_of
 from gelsim.lightfield import write_field
 from gelsim.optics import bake
 from gelsim.randomize import Catalogue, EpisodeDraw, load_plan
@@ -289,9 +288,11 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
         assert first.row["mechanics"] == second.row["mechanics"] and (first.frames != second.frames).any()
 
 
-def test_a_report_counts_the_episodes_that_there_are() -> None:
+def test_a_report_counts_the_episodes_that_there_are(tmp_path: Path) -> None:
     """Of a dataset whose indices have gaps, as one has that was cut off or where presses failed."""
-    book = SimpleNamespace(known={0, 2, 7, 9}, failures={7: {"index": 7}}, splits=dict)
-    report = report_of(book, Path("out"), {0, 2, 7}, 0, 1, 3600.0)  # type: ignore[arg-type]
+    book = Book(tmp_path, {}, resume=False)
+    book.rows = {index: {"index": index, "split": "train"} for index in (0, 2, 9)}
+    book.failures = {7: {"index": 7}}
+    report = report_of(book, Path("out"), {0, 2, 7}, 0, 1, 3600.0)
     assert (report["episodes"], report["failed"], report["asked"], report["episodes_per_hour"]) == (2, 1, 3, 3.0)
-    assert report_of(book, Path("out"), range(3), 0, 1, 1.0)["episodes"] == 2  # type: ignore[arg-type]
+    assert report_of(book, Path("out"), range(3), 0, 1, 1.0)["episodes"] == 2
