@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from gelsim.errors import GelsimError, SceneError
-from gelsim.scene import nearest
+from gelsim.fields import nearest
 
 BAR = "{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}<{remaining} {rate_inv_fmt}"
 

@@ -18,7 +18,9 @@ from typing import Any
 from gelsim import console
 from gelsim import scene as scene_module
 from gelsim.errors import SceneError
-from gelsim.scene import CHOICES, Scene, field_types
+from gelsim.fields import field_types
+from gelsim.limits import CHOICES
+from gelsim.scene import Scene
 from gelsim.scene_file import PRESET_SECTIONS, Layer
 from gelsim.units import unit_of
 
@@ -97,7 +99,7 @@ def layer_of(options: argparse.Namespace) -> Layer:
 
 
 def parse_text(text: str | list[str], hint: Any, name: str) -> Any:
-    """What was typed as a value for a field of this type; `gelsim.scene.convert` checks it later.
+    """What was typed as a value for a field of this type; `gelsim.fields.convert` checks it later.
 
     Numbers that do not parse stay text, so that the check can name them.
     """

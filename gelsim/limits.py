@@ -1,9 +1,13 @@
-"""What the fields of a scene may be: words to choose from, and the bounds of every number."""
+"""What the fields of a scene may be: words to choose from, the bounds of every number, and the check of a section against both."""
 
 from __future__ import annotations
 
+import dataclasses
+
 from gelsim import materials
-from gelsim.units import MESH_UNITS
+from gelsim.errors import SceneError
+from gelsim.fields import nearest
+from gelsim.units import MESH_UNITS, unit_of
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "fidelity": ("fast", "balanced", "reference"),
@@ -118,3 +122,33 @@ LIMITS: dict[str, tuple[float, float]] = {
     "render.spp": (1, 65536),
     "render.resolution": (16, 4096),
 }
+
+
+def check_limits(section: object, name: str = "") -> None:
+    """Raises SceneError where a field of a section, or of one inside it, is beyond CHOICES or LIMITS; `name` is the section's own."""
+    for item in dataclasses.fields(section):  # type: ignore[arg-type]
+        full = f"{name}.{item.name}" if name else item.name
+        value = getattr(section, item.name)
+        unit = unit_of(item.name)
+        if dataclasses.is_dataclass(value):
+            check_limits(value, full)
+        elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
+            for part in value:
+                check_limits(part, full)
+        if full in CHOICES and value not in CHOICES[full]:
+            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{nearest(str(value), CHOICES[full])}")
+        if full in LIMITS:
+            low, high = LIMITS[full]
+            if any(not low <= number <= high for number in _numbers(value)):
+                shown = " ".join(f"{number:g}" for number in _numbers(value))
+                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}")
+
+
+def _numbers(value: object) -> list[float]:
+    if isinstance(value, tuple):
+        return [number for item in value for number in _numbers(item)]
+    return [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else []
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""

@@ -1,16 +1,10 @@
-"""Distributions over the fields of a scene, and plans: which objects exist, how they are pressed, with which sensors they are seen.
+"""Plans of datasets: which objects exist, how they are pressed, with which sensors they are seen.
 
-A plan is a TOML file, or what it changes of another, its `base`. A field of the scene, by its full name, has a value or a distribution:
-
-    {uniform = [a, b]}  {log_uniform = [a, b]}  {normal = [mean, sd], within = [a, b]}  {integers = [a, b]}
-    {choice = [...], weights = [...]}
-    {cycle = [...]}     the values in turn, by the number of what is drawn
-    {chance = p, then = …, else = …}      and any of them with  relative = "times" | "plus"  of what the field is without it;
-
-a list gives every component its own. `lights.lights.power` is every light's, each for itself. Four things are drawn, each from a generator
-of its own, SeedSequence(seed, spawn_key=(kind, number)): sensors (what a light field has to be measured for), objects (made once, pressed
-many times), presses (mechanics runs: hardness scale, contact, motion) and episodes (an end point of a press, its timing, and what light
-costs nothing: markers, exposure, powers). So number i of a seed is the same for any number of workers and in any order.
+A plan is a TOML file, or what it changes of another, its `base`. Its fields of the scene have values or distributions
+(`gelsim.distributions`). Four things are drawn, each from a generator of its own, SeedSequence(seed, spawn_key=(kind, number)): sensors
+(what a light field has to be measured for), objects (made once, pressed many times), presses (mechanics runs: hardness scale, contact,
+motion) and episodes (an end point of a press, its timing, and what light costs nothing: markers, exposure, powers). So number i of a seed
+is the same for any number of workers and in any order.
 
 Hardness to modulus: E(H) = s E_Hertz(H) (E_Hertz(H) / E_Hertz(H₀))^(γ - 1), s and γ drawn by press, the same for gel and object, H₀ the
 gel's hardness: the literature disagrees by two over s and leaves γ open (docs/physics.md).
@@ -23,8 +17,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,191 +26,18 @@ from typing import Any
 import numpy as np
 
 from gelsim import materials
+from gelsim.distributions import DRAWS, check_distribution, check_fields, draw, draw_fields, is_number
 from gelsim.errors import GelsimError, SceneError
-from gelsim.limits import CHOICES, LIMITS
-from gelsim.scene import Scene, convert, field_types, nearest
+from gelsim.fields import convert, nearest
+from gelsim.scene import Scene
 from gelsim.scene_file import Layer, build_scene, read_toml
-from gelsim.units import unit_of
 
-DRAWS = ("uniform", "log_uniform", "normal", "integers", "choice", "cycle", "chance")
-MODIFIERS = {"normal": ("within",), "choice": ("weights",), "chance": ("then", "else")}
 SENSOR, OBJECT, PRESS, EPISODE, SPLIT = range(5)
 """First numbers of the spawn keys."""
-TRIES = 1000
-"""Of a truncated normal, before its range is said to be impossible."""
 RIGID_DEEPEST = 0.6
 """Of the gel's thickness: deeper presses of rigid objects end there, before the gel is cut through."""
 HUMAN_OR_ROBOT = ("human", "robot")
 SPLITS = ("train", "validation", "novel_hardness", "novel_shape", "robot", "vessels", "complicated", "natural")
-
-
-# ---- distributions ----
-
-
-def check_distribution(value: Any, where: str, name: str | None = None) -> None:
-    """Raises SceneError where a distribution is malformed, or can give what the scene field `name` does not allow."""
-    if isinstance(value, list):
-        for number, item in enumerate(value):
-            check_distribution(item, f"{where}[{number}]", name)
-        return
-    if not isinstance(value, dict):
-        _check_value(value, where, name)
-        return
-    kinds = [key for key in value if key in DRAWS]
-    if len(kinds) != 1:
-        found = f"has {' and '.join(kinds)}" if kinds else f"has none of them{nearest(next(iter(value), ''), DRAWS)}"
-        raise SceneError(f"{where}: a distribution is one of {', '.join(DRAWS)}; this {found}")
-    kind = kinds[0]
-    extra = [key for key in value if key not in (kind, "relative", *MODIFIERS.get(kind, ()))]
-    if extra:
-        raise SceneError(f"{where}: {kind} has no {extra[0]!r}")
-    relative = value.get("relative")
-    if relative not in (None, "times", "plus"):
-        raise SceneError(f'{where}: relative = {relative!r}: allowed are "times" and "plus"')
-    limited = None if relative else name
-    argument = value[kind]
-    if kind in ("choice", "cycle"):
-        if not isinstance(argument, list) or not argument:
-            raise SceneError(f"{where}: {kind} = {argument!r}: expected a list of values")
-        for item in argument:
-            _check_value(item, where, limited)
-        weights = value.get("weights")
-        fits = isinstance(weights, list) and len(weights) == len(argument) and all(_is_number(w) and w >= 0 for w in weights)
-        if weights is not None and not (fits and sum(weights)):
-            raise SceneError(f"{where}: weights = {weights!r}: expected {len(argument)} numbers of 0 or more, not all 0")
-    elif kind == "chance":
-        if not _is_number(argument) or not 0 <= argument <= 1:
-            raise SceneError(f"{where}: chance = {argument!r}: allowed is 0 … 1")
-        if "then" not in value or ("else" not in value and relative is None):
-            raise SceneError(f"{where}: chance needs then = … and else = …")
-        for branch in ("then", "else"):
-            if branch in value:
-                check_distribution(value[branch], f"{where}.{branch}", limited)
-    else:
-        _check_range(kind, value, where, limited)
-
-
-def _check_range(kind: str, value: Layer, where: str, name: str | None) -> None:
-    pairs = [(kind, value[kind])] + ([("within", value.get("within"))] if kind == "normal" else [])
-    for key, pair in pairs:
-        if not isinstance(pair, list) or len(pair) != 2 or not all(_is_number(item) for item in pair):
-            raise SceneError(f"{where}: {key} = {pair!r}: expected two numbers")
-    low, high = value["within"] if kind == "normal" else value[kind]
-    if low > high:
-        raise SceneError(f"{where}: {pairs[-1][0]} = [{low:g}, {high:g}]: the first is above the second")
-    if kind == "log_uniform" and low <= 0:
-        raise SceneError(f"{where}: log_uniform = [{low:g}, {high:g}]: both must be above 0")
-    if kind == "integers" and not (isinstance(low, int) and isinstance(high, int)):
-        raise SceneError(f"{where}: integers = [{low:g}, {high:g}]: expected whole numbers")
-    if kind == "normal":
-        mean, deviation = value["normal"]
-        # Beyond four standard deviations less than one of ten thousand draws falls: such a range was not meant.
-        if deviation < 0 or mean + 4 * deviation < low or mean - 4 * deviation > high:
-            raise SceneError(f"{where}: normal = [{mean:g}, {deviation:g}] hardly ever falls within [{low:g}, {high:g}]")
-    for end in (low, high):
-        _check_value(end, where, name)
-
-
-def _check_value(value: Any, where: str, name: str | None) -> None:
-    """A single value against what the scene allows for the field."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise SceneError(f"{where} = {value}: expected a finite number")
-    if name is None:
-        return
-    if name in CHOICES and value not in CHOICES[name]:
-        raise SceneError(f"{where} = {value!r}: allowed for {name} are {', '.join(CHOICES[name])}{nearest(str(value), CHOICES[name])}")
-    if name in LIMITS and _is_number(value):
-        low, high = LIMITS[name]
-        unit = unit_of(name.rpartition(".")[2])
-        if not low <= value <= high:
-            raise SceneError(f"{where} = {value:g}: allowed for {name} is {low:g} … {high:g}{f' {unit}' if unit else ''}")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def draw(value: Any, rng: np.random.Generator, number: int = 0, base: Any = None) -> Any:
-    """A value of a distribution that was checked: plain numbers, texts and lists.
-
-    Args:
-        number: Of what is drawn, for `cycle`.
-        base: What the field is without it, for `relative`.
-    """
-    if isinstance(value, list):
-        bases = base if isinstance(base, (list, tuple)) else [base] * len(value)
-        return [draw(item, rng, number, part) for item, part in zip(value, bases, strict=True)]
-    if not isinstance(value, dict):
-        return value
-    if isinstance(base, (list, tuple)) and value.get("relative"):
-        return [draw(value, rng, number, part) for part in base]
-    kind = next(key for key in value if key in DRAWS)
-    argument = value[kind]
-    if kind == "uniform":
-        drawn: Any = float(rng.uniform(*argument))
-    elif kind == "log_uniform":
-        drawn = float(np.exp(rng.uniform(*np.log(argument))))
-    elif kind == "integers":
-        drawn = int(rng.integers(argument[0], argument[1] + 1))
-    elif kind == "cycle":
-        drawn = argument[number % len(argument)]
-    elif kind == "choice":
-        weights = value.get("weights")
-        share = None if weights is None else np.array(weights, float) / sum(weights)
-        drawn = argument[int(rng.choice(len(argument), p=share))]
-    elif kind == "chance":
-        branch = "then" if rng.random() < argument else "else"
-        drawn = draw(value[branch], rng, number) if branch in value else {"times": 1.0, "plus": 0.0}[value["relative"]]
-    else:
-        low, high = value["within"]
-        drawn = next(
-            (x for x in rng.normal(argument[0], argument[1], TRIES).tolist() if low <= x <= high), min(max(argument[0], low), high)
-        )
-    if value.get("relative") == "times":
-        return drawn * base
-    if value.get("relative") == "plus":
-        return drawn + base
-    return drawn
-
-
-def check_fields(table: Mapping[str, Any], where: str, sections: tuple[str, ...] | None = None) -> None:
-    """Raises SceneError for a name that is no field of the scene (or of other `sections`), or a distribution that is wrong."""
-    if not isinstance(table, Mapping):
-        raise SceneError(f"{where} = {table!r}: expected a table of fields")
-    for name, value in table.items():
-        full = f"{where}.{name!r}"
-        kind: Any = Scene
-        for key in name.split("."):
-            if kind is None or not dataclasses.is_dataclass(kind) or key not in field_types(kind):  # type: ignore[arg-type]
-                known = [] if kind is None or not dataclasses.is_dataclass(kind) else list(field_types(kind))  # type: ignore[arg-type]
-                raise SceneError(f"{full}: unknown field{nearest(key, known)}")
-            kind = field_types(kind)[key]  # type: ignore[arg-type]
-            if typing.get_origin(kind) is tuple and dataclasses.is_dataclass(typing.get_args(kind)[0]):
-                kind = typing.get_args(kind)[0]
-        if dataclasses.is_dataclass(kind):
-            raise SceneError(f"{full}: is a whole table; name one field of it")
-        if sections is not None and name.split(".")[0] not in sections:
-            raise SceneError(f"{full}: here only {', '.join(sections)} may be drawn")
-        check_distribution(value, full, name)
-
-
-def draw_fields(table: Mapping[str, Any], rng: np.random.Generator, number: int = 0, base: Scene | None = None) -> Layer:
-    """A layer of a scene from distributions by full name; `base` is what "times" and "plus" refer to."""
-    layer: Layer = {}
-    lights = [dataclasses.asdict(light) for light in base.lights.lights] if base is not None else []
-    for name, value in table.items():
-        *path, key = name.split(".")
-        if path == ["lights", "lights"]:
-            for light in lights:
-                light[key] = draw(value, rng, number, light[key])
-            layer.setdefault("lights", {})["lights"] = [{k: v for k, v in light.items() if v is not None} for light in lights]
-            continue
-        target, current = layer, base
-        for step in path:
-            target = target.setdefault(step, {})
-            current = getattr(current, step) if current is not None else None
-        target[key] = draw(value, rng, number, getattr(current, key) if current is not None else None)
-    return layer
 
 
 def generator(seed: int, kind: int, *numbers: int) -> np.random.Generator:
@@ -348,7 +167,7 @@ def _plan(table: Layer) -> Plan:
     for name, value in drawn.items():
         check_distribution(value, name)
     ends = table["end_points"]
-    if not isinstance(ends, list) or not ends or not all(_is_number(e) and 0 < e <= 1 for e in ends) or ends != sorted(set(ends)):
+    if not isinstance(ends, list) or not ends or not all(is_number(e) and 0 < e <= 1 for e in ends) or ends != sorted(set(ends)):
         raise SceneError(f"end_points = {ends!r}: expected ascending shares of the press, 0 to 1")
     groups = tuple(_group(item, f"groups[{i}]") for i, item in enumerate(table["groups"]))
     numbers = {group.number for group in groups if group.kinds}
@@ -394,7 +213,7 @@ def _group(table: Layer, where: str) -> Group:
             raise SceneError(f"{place}: split = {item['split']!r}: allowed are {', '.join(SPLITS)}")
         kinds.append(Kind(str(item.get("name", i)), _whole(item.get("count", 1), f"{place}.count", 1, 100000), fields, item.get("split")))
     share = table["share"]
-    if not _is_number(share) or share < 0:
+    if not is_number(share) or share < 0:
         raise SceneError(f"{where}: share = {share!r}: expected a number of 0 or more")
     return Group(
         _whole(table["number"], f"{where}.number", 1, 5), str(table["name"]), float(share), table["motion"], table["split"], tuple(kinds),
@@ -427,7 +246,7 @@ def _whole(value: object, where: str, low: int, high: int) -> int:
 
 
 def _share(value: Any, where: str) -> float:
-    if not _is_number(value) or not 0 <= value <= 1:
+    if not is_number(value) or not 0 <= value <= 1:
         raise SceneError(f"{where} = {value!r}: allowed is 0 … 1")
     return float(value)
 
@@ -522,7 +341,7 @@ class Catalogue:
         try:
             layers.append(draw_fields(fields, rng, number, base))
             depth = layers[-1].get("press", {}).get("depth_mm")
-            if thing.layer.get("rigid") and _is_number(depth):
+            if thing.layer.get("rigid") and is_number(depth):
                 layers[-1]["press"]["depth_mm"] = min(depth, RIGID_DEEPEST * base.gel.thickness_mm)
             scale, slope = draw(plan.modulus_scale, rng, number), draw(plan.shore_slope, rng, number)
             scene = _hardened(build_scene(*layers), scale, slope)

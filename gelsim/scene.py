@@ -3,23 +3,20 @@
 One set of names: a field here is a key of the scene file and a flag of the command line, unit suffix included (docs/decisions/0001).
 Stages convert to SI where they read (`gelsim.units`). No arrays: a scene is hashable and prints whole. A `Scene` that exists is valid:
 types, ranges and contradictions are checked when it is made, and an error names the field, its value with unit and what is allowed.
-`gelsim.scene_file` reads and writes it as TOML. The string under a field is its documentation and the help text of its flag.
+`gelsim.fields` converts, `gelsim.limits` bounds each field by itself, what contradicts another is found here; `gelsim.scene_file` reads and
+writes TOML. The string under a field is its documentation and the help text of its flag.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import functools
 import math
-import types
-import typing
 from dataclasses import dataclass, field, replace
 
 from gelsim import materials
 from gelsim.errors import MaterialError, SceneError
-from gelsim.limits import CHOICES, LIMITS, SHADING_DEGREES, WITH_PARTS
-from gelsim.units import unit_of
+from gelsim.fields import convert, field_types, share
+from gelsim.limits import SHADING_DEGREES, WITH_PARTS, check_limits
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
@@ -355,7 +352,7 @@ class Scene:
         for item in dataclasses.fields(self):
             object.__setattr__(self, item.name, convert(getattr(self, item.name), field_types(Scene)[item.name], item.name))
         if isinstance(self.target_error, str):
-            object.__setattr__(self, "target_error", _share(self.target_error, "target_error"))
+            object.__setattr__(self, "target_error", share(self.target_error, "target_error"))
         _check(self)
 
     def replace(self, **sections: object) -> Scene:
@@ -369,117 +366,13 @@ STIFFNESS = ("shore_00", "shore_a", "youngs_modulus_kpa")
 """Of these a gel or an object gives exactly one."""
 
 
-@functools.cache
-def field_types(section: type) -> dict[str, typing.Any]:
-    """Field name -> resolved type of one of the dataclasses here."""
-    hints = typing.get_type_hints(section)
-    return {item.name: hints[item.name] for item in dataclasses.fields(section)}
-
-
-def nearest(name: str, known: typing.Iterable[str]) -> str:
-    """ ", did you mean …?" for a misspelt name, or "" when nothing known comes near."""
-    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f"; did you mean {match[0]!r}?" if match else ""
-
-
-def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
-    """A value as its field's type: whole numbers become floats, lists tuples, tables dataclasses, "none" None.
-
-    Args:
-        value: As it came from TOML or from Python.
-        hint: The field's type.
-        name: Full name of the field, for messages.
-    Raises:
-        SceneError: The value is of another type, or a number is not finite.
-    """
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        if isinstance(value, dict):
-            value = hint(**{key: item for key, item in value.items() if known_key(key, hint, name)})
-        if not isinstance(value, hint):
-            raise SceneError(f"{name} = {value!r}: expected a table with {', '.join(field_types(hint))}")
-        for key, inner in field_types(hint).items():
-            object.__setattr__(value, key, convert(getattr(value, key), inner, f"{name}.{key}"))
-        return value
-    if isinstance(hint, types.UnionType):
-        options = hint.__args__
-        if type(None) in options and (value is None or (isinstance(value, str) and value.lower() == "none")):
-            return None
-        plain = [option for option in options if option is not type(None)]
-        if str in plain and isinstance(value, str):
-            return value
-        return convert(value, next(option for option in plain if option is not str or len(plain) == 1), name)
-    if typing.get_origin(hint) is tuple:
-        inner = typing.get_args(hint)
-        repeated = len(inner) == 2 and inner[1] is Ellipsis
-        if not isinstance(value, (list, tuple)) or (not repeated and len(value) != len(inner)):
-            raise SceneError(f"{name} = {value!r}: expected a list" + ("" if repeated else f" of {len(inner)} values"))
-        kinds = [inner[0]] * len(value) if repeated else inner
-        return tuple(convert(item, kind, name) for item, kind in zip(value, kinds, strict=True))
-    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        if not math.isfinite(value):
-            raise SceneError(f"{name} = {value}: expected a finite number")
-        return float(value)
-    # True is an int to Python, not to us.
-    if type(value) is not hint:
-        words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
-        raise SceneError(f"{name} = {value!r}: expected {words[hint]}")
-    return value
-
-
-def known_key(key: str, section: type, name: str) -> bool:
-    """True, or a SceneError that names the nearest key of `section`; `name` is where it stood ("" for the top of a file)."""
-    known = field_types(section)
-    if key not in known:
-        full = f"{name}.{key}" if name else key
-        raise SceneError(f"unknown key {full!r}{nearest(key, known) or '; known are ' + ', '.join(known)}")
-    return True
-
-
-def _share(text: str, name: str) -> float:
-    """ "2%" or "0.02" as 0.02."""
-    number, percent = text.strip().removesuffix("%"), text.strip().endswith("%")
-    try:
-        return convert(float(number) * (0.01 if percent else 1.0), float, name)
-    except ValueError:
-        raise SceneError(f'{name} = {text!r}: expected a share, such as 0.02 or "2%"') from None
-
-
 def _default_hardness(section: Gel | Body, shore_00: float) -> None:
     if all(getattr(section, name) is None for name in STIFFNESS):
         object.__setattr__(section, "shore_00", shore_00)
 
 
-def _numbers(value: object) -> list[float]:
-    if isinstance(value, tuple):
-        return [number for item in value for number in _numbers(item)]
-    return [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else []
-
-
-def _check_fields(section: object, name: str) -> None:
-    for item in dataclasses.fields(section):  # type: ignore[arg-type]
-        full = f"{name}.{item.name}" if name else item.name
-        value = getattr(section, item.name)
-        unit = unit_of(item.name)
-        if dataclasses.is_dataclass(value):
-            _check_fields(value, full)
-        elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
-            for part in value:
-                _check_fields(part, full)
-        if full in CHOICES and value not in CHOICES[full]:
-            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{nearest(str(value), CHOICES[full])}")
-        if full in LIMITS:
-            low, high = LIMITS[full]
-            if any(not low <= number <= high for number in _numbers(value)):
-                shown = " ".join(f"{number:g}" for number in _numbers(value))
-                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}")
-
-
-def _spaced(unit: str) -> str:
-    return f" {unit}" if unit else ""
-
-
 def _check(scene: Scene) -> None:
-    _check_fields(scene, "")
+    check_limits(scene)
     gel, body, press = scene.gel, scene.object, scene.press
     _check_hardness("gel", gel)
     _check_hardness("object", body)

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.errors import SceneError
-from gelsim.scene import STIFFNESS, Grains, LawConstants, Scene, Sensor, Skin, field_types, known_key, nearest
+from gelsim.fields import field_types, known_key, nearest
+from gelsim.scene import STIFFNESS, Grains, LawConstants, Scene, Sensor, Skin
 
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
 """What a sensor preset may fill."""

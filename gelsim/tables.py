@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.errors import SceneError
-from gelsim.scene import nearest
+from gelsim.fields import nearest
 
 
 def read_csv(path: Path, name: str = "", known: Sequence[str] = ()) -> tuple[list[str], list[dict[str, Any]]]:

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from gelsim.dataset import Dataset, load_dataset, unpacked, write_episode
+from gelsim.distributions import draw_fields
 from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, scene_of
 from gelsim.generate.run import Book, Progress, crew_of, features, measure_lights, report_of, sums_of
-from gelsim.randomize import EPISODE, Catalogue, draw_fields, generator, load_plan
+from gelsim.randomize import EPISODE, Catalogue, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
 from gelsim.workers import Handful, WorkError, work_through

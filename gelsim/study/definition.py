@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from gelsim.distributions import check_fields
 from gelsim.errors import SceneError
+from gelsim.fields import nearest
 from gelsim.ledger import Row
-from gelsim.randomize import check_fields
-from gelsim.scene import nearest
 from gelsim.scene_file import Layer, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 
 from gelsim.errors import SceneError
+from gelsim.fields import nearest
 from gelsim.ledger import Ledger, Row
-from gelsim.scene import nearest
 from gelsim.scene_file import PRESET_SECTIONS, Layer, build_scene, dump_scene, scene_table
 from gelsim.study import report
 from gelsim.study.definition import Point, Study, case_name, check_axis, quantile, shown

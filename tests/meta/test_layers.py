@@ -12,11 +12,11 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of lower layers and of its own package. Siblings of one layer do not import each other.
 LAYERS = [
     {"errors", "units"},
-    {"geometry", "materials", "ledger", "workers", "cluster", "files", "clough_tocher"},
+    {"geometry", "materials", "ledger", "workers", "cluster", "files", "clough_tocher", "fields"},
     {"scene", "limits", "results"},
     {"scene_file", "markers", "console", "tables"},
     {"solids", "sizing", "mesh_file", "bisection"},
-    {"shapes", "inclusions", "lightfield", "dataset", "motion", "metrics", "rim_edges"},
+    {"shapes", "inclusions", "lightfield", "dataset", "motion", "metrics", "rim_edges", "distributions"},
     {"contact_area"},
     {"meshing", "gel_mesh", "profiles", "fem", "membrane", "optics"},
     {"outputs", "sensor_sheet", "dataset_sheet", "sheet", "press_page", "fidelity", "reductions"},

@@ -12,10 +12,11 @@ import pytest
 
 from gelsim import cli, pipeline
 from gelsim.errors import SolveError, SolveStatus
+from gelsim.fields import field_types
 from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.optics import variant
 from gelsim.results import Deformation
-from gelsim.scene import Scene, field_types
+from gelsim.scene import Scene
 from gelsim.scene_file import build_scene
 
 

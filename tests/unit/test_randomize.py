@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from gelsim import materials
+from gelsim.distributions import check_fields, draw
 from gelsim.errors import SceneError
-from gelsim.randomize import Catalogue, check_fields, draw, load_plan
+from gelsim.randomize import Catalogue, load_plan
 
 TINY = Path(__file__).parents[1] / "plan_tiny.toml"
 

@@ -12,7 +12,9 @@ from typing import Any, get_args, get_origin
 import pytest
 
 from gelsim.errors import MaterialError, SceneError
-from gelsim.scene import LIMITS, Body, Gel, LawConstants, Press, Scene, field_types
+from gelsim.fields import field_types
+from gelsim.limits import LIMITS
+from gelsim.scene import Body, Gel, LawConstants, Press, Scene
 from gelsim.scene_file import build_scene, dump_scene, load_scene, preset_names
 
 
