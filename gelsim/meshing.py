@@ -75,7 +75,7 @@ _COARSE = np.radians(30.0)
 """Angle between the corners of a turned object before its surface is refined: at 15 degrees a foot would get edges of a quarter radius."""
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
-_ATTEMPTS = ((0.05, 10.0, 20), (0.02, 6.0, 80), (0.1, 6.0, 80))
+_ATTEMPTS = ((0.15, 10.0, 20), (0.05, 10.0, 20), (0.02, 6.0, 80))
 """How far fTetWild may move the surface before its vertices are put back, per smallest edge length; its AMIPS energy to stop at (a
 regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more tets."""
 

@@ -60,12 +60,13 @@ def solve_press(
         placement: Rotation (3, 3) and translation (3,) [m] that bring it to first touch.
         object_material: None for a rigid object.
         part_materials: Of the object's regions 1, 2, … (skin, grains).
-        device: "auto" and "cpu" run here; "cuda" assembles on the GPU.
+        device: "auto" and "cpu" run here; "cuda" solves on the GPU (as a batch of one), or without cuDSS only assembles there.
         progress: Called with (states recorded, states wanted).
     Raises:
         SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
     quiet_warp()
+    from gelsim.fem.batch import run_batch
     from gelsim.fem.problem import PressProblem
     from gelsim.fem.quasistatic import run_press
 
@@ -75,7 +76,10 @@ def solve_press(
         tried = _tried(scene, points)
         bodies = tried, gel, body, placement, gel_material, object_material, name
         problem = PressProblem(*bodies, part_materials=part_materials, contact_points=points)
-        press = run_press(problem, progress=progress, throw=False)
+        if name != "cpu" and problem.memory is None and solves_on_gpu():
+            press = run_batch([problem], states=progress)[0]
+        else:
+            press = run_press(problem, progress=progress, throw=False)
         _note(press, scene, points)
         best = _further(best, press)
         if press.status is SolveStatus.CONVERGED:
@@ -106,6 +110,13 @@ def _further(before: Deformation | None, press: Deformation) -> Deformation:
     if before is None or len(press.approach) > len(before.approach) or press.status is SolveStatus.CONVERGED:
         return press
     return before
+
+
+def solves_on_gpu() -> bool:
+    """Whether a press on "cuda" is solved there, not only assembled."""
+    from gelsim.fem.cudss import find_cudss
+
+    return find_cudss() is not None
 
 
 def batch_device(device: str) -> str:

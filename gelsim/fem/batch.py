@@ -85,19 +85,21 @@ def copy_bandwidth(device: str) -> float:
 
 
 def run_batch(
-    problems: Sequence[PressProblem], *, progress: Callable[[int, int], None] | None = None, costs: Costs | None = None
-) -> list[Deformation]:
+    problems: Sequence[PressProblem], *, progress: Callable[[int, int], None] | None = None,
+    states: Callable[[int, int], None] | None = None, costs: Costs | None = None,
+) -> list[Deformation]:  # fmt: skip
     """Solves presses whose meshes have the same elements; a press that fails says so in its `status`.
 
     Args:
         progress: Called with (presses done, presses).
+        states: Called with (states recorded, states wanted) of the first press.
         costs: Filled with where the time went.
     Raises:
         ValueError: The meshes differ.
     """
     batch = _Batch(problems, costs)
     with single_threaded_blas():
-        return batch.run(progress)
+        return batch.run(progress, states)
 
 
 @dataclass
@@ -156,9 +158,9 @@ class _Batch:
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
 
-    def run(self, progress: Callable[[int, int], None] | None) -> list[Deformation]:
+    def run(self, progress: Callable[[int, int], None] | None, states: Callable[[int, int], None] | None) -> list[Deformation]:
         """Drives all marches to their ends."""
-        marches = [march_press(problem) for problem in self.problems]
+        marches = [march_press(problem, None if number else states) for number, problem in enumerate(self.problems)]
         done: list[Deformation | None] = [None] * self.count
         for scene, march in enumerate(marches):
             self._take(scene, next(march))

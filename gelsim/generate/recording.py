@@ -64,17 +64,23 @@ class Solved:
     """Of its error, by itself."""
 
 
-def solve(press: Press) -> Solved:
-    """The mechanics of a press, on this process's core: no two objects of a plan have the same mesh, which a batch on a GPU wants.
+def solve(press: Press, device: str = "cpu") -> Solved:
+    """The mechanics of a press: on this process's core, or on a GPU that it shares with others.
 
+    No two objects of a plan have the same mesh, which presses side by side in one process want; processes side by side do not.
+
+    Args:
+        device: "cpu", or "cuda", where nothing is gained without cuDSS: then it is the core too.
     Raises:
         PressFailed
     """
     from gelsim import pipeline
+    from gelsim.fem import solves_on_gpu
 
     record = pipeline.Record()
+    where = device if solves_on_gpu() else "cpu"
     try:
-        solved = pipeline.press(resolved(press.scene), device="cpu", record=record, throw=False)
+        solved = pipeline.press(resolved(press.scene), device=where, record=record, throw=False)
     except (MeshingError, SolveError, SceneError) as error:
         raise PressFailed(type(error).__name__, str(error)) from error
     return Solved(checked(solved), record.seconds, solved.info.get("error_estimate"))

@@ -40,7 +40,7 @@ NUMERICAL = (
 )
 """Failures that would come again; others (DIED, TIMEOUT) are tried again by --resume."""
 DEVICES = ("cpu", "cuda")
-"""That draw."""
+"""That solve and draw."""
 MANIFEST_SECONDS = 20.0
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
@@ -65,7 +65,7 @@ def generate(
         episodes: How many, counted from index 0; with `resume` it may be more than before.
         workers: Processes; one per core by default.
         ray: Address of a Ray cluster that works instead of this machine.
-        device: Where the light is drawn: "cpu", or "cuda", all of whose devices share the workers.
+        device: Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers.
         light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
@@ -156,7 +156,7 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
             for press in map(catalogue.press, handful):
                 ends, start, drawing = todo[press.number], time.perf_counter(), 0.0
                 try:
-                    solved = recording.solve(press)
+                    solved = recording.solve(press, device)
                 except recording.PressFailed as failed:
                     done.failures.append(failure(catalogue, press.number, ends, failed.status, str(failed)))
                     continue

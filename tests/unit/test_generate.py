@@ -182,7 +182,7 @@ def test_a_full_disk_ends_the_work_with_its_name(tmp_path: Path, monkeypatch: py
         raise DatasetError(f"{tmp_path}: cannot be written (No space left on device)")
 
     monkeypatch.setattr("gelsim.generate.run.Studio", Studio)
-    monkeypatch.setattr(recording, "solve", lambda press: recording.Solved(None, {}, None))  # type: ignore[arg-type]
+    monkeypatch.setattr(recording, "solve", lambda press, device: recording.Solved(None, {}, None))  # type: ignore[arg-type]
     monkeypatch.setattr(recording, "record", full)
     done = make_worker(TINY, 0, tmp_path, {0: [0, 1]}, "cpu")((0,))
     assert done.error is not None and "No space left on device" in done.error and not done.rows
@@ -191,7 +191,7 @@ def test_a_full_disk_ends_the_work_with_its_name(tmp_path: Path, monkeypatch: py
 def test_a_press_that_fails_is_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("gelsim.generate.run.Studio", lambda device: None)
 
-    def failing(press: object) -> recording.Solved:
+    def failing(press: object, device: str) -> recording.Solved:
         raise recording.PressFailed("NONFINITE", "not a number")
 
     monkeypatch.setattr(recording, "solve", failing)
