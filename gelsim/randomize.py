@@ -106,6 +106,8 @@ class Plan:
     spp: int = 12
     digest: str = ""
     """SHA-256 of all that stands in it."""
+    table: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """All that stands in it: what a dataset keeps of it, in meta/plan.json."""
 
 
 _PLAN = {
@@ -119,8 +121,8 @@ AFTER_BAKE = ("markers", "camera", "lights", "seed")
 
 
 def plan_path(name: str) -> Path:
-    """A plan's file: a path that ends in .toml, or one of the plans that come along."""
-    if name.endswith(".toml"):
+    """A plan's file: a path that ends in .toml (or the .json that a dataset keeps), or one of the plans that come along."""
+    if name.endswith((".toml", ".json")):
         return Path(name)
     inside = Path(__file__).parent / "_plans"
     folder = inside if inside.is_dir() else Path(__file__).parent.parent / "scenes" / "plans"
@@ -137,7 +139,7 @@ def load_plan(name: str) -> Plan:
         SceneError: It cannot be read, or something in it is unknown, impossible, or out of what a scene allows.
     """
     path = plan_path(name)
-    table = read_toml(path, "--plan")
+    table = _kept(path) if path.suffix == ".json" else read_toml(path, "--plan")
     if "base" in table:
         # One level deep: a table's keys beat those of the same table, everything else is replaced.
         below = read_toml(plan_path(str(table.pop("base"))), "--plan")
@@ -147,6 +149,17 @@ def load_plan(name: str) -> Plan:
         return _plan(table)
     except SceneError as error:
         raise SceneError(f"plan {path.name}: {error}") from None
+
+
+def _kept(path: Path) -> Layer:
+    """The table of a plan that a dataset keeps."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise SceneError(f"--plan {str(path)!r} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if not isinstance(table, dict):
+        raise SceneError(f"--plan {str(path)!r} holds no table")
+    return table
 
 
 def _plan(table: Layer) -> Plan:
@@ -188,6 +201,7 @@ def _plan(table: Layer) -> Plan:
         validation_share=_share(splits.get("validation_share", 0.1), "splits.validation_share"),
         groups=groups,
         digest=hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest(),
+        table=table,
         mode=str(table.get("mode", "baked")),
         spp=_whole(table.get("spp", 12), "spp", 1, 65536),
         **drawn,

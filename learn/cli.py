@@ -106,6 +106,10 @@ def _parser() -> Parser:
     predict.add_argument("--background", type=Path, metavar="FILE", help="a picture without contact (default: the first frame)")
     predict.add_argument("--start", type=float, default=0.0, metavar="S", help="where in the video the press begins [s] (default: 0)")
     predict.add_argument("--seconds", type=float, metavar="S", help="how long it lasts [s] (default: to the end)")
+    for command in (train, evaluate):
+        command.add_argument(
+            "--plan", metavar="FILE", help="of a dataset without pictures, which are drawn first: its plan, if it does not keep it"
+        )
     for command, run in ((train, _train), (evaluate, _evaluate), (predict, _predict)):
         command.set_defaults(run=run, parser=command)
         command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
@@ -143,7 +147,7 @@ def _train(options: argparse.Namespace) -> int:
     with console.progress_bars() as progress:
         report = train.train(
             options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=options.init,
-            vgg_weights=options.vgg_weights, device=options.device, cache=options.cache, progress=progress,
+            vgg_weights=options.vgg_weights, device=options.device, cache=options.cache, plan=options.plan, progress=progress,
         )  # fmt: skip
     if report:
         line = f"{options.out / 'model.pt'}: step {report['step']}"
@@ -170,7 +174,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     with console.progress_bars() as progress:
         report = evaluate.evaluate(
             model, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
-            workers=options.workers, baselines=not options.no_baselines, progress=progress,
+            workers=options.workers, baselines=not options.no_baselines, plan=options.plan, progress=progress,
         )  # fmt: skip
     print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
     return OK

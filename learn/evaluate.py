@@ -58,6 +58,7 @@ def evaluate(
     cache: Path | None = None,
     workers: int = 0,
     baselines: bool = True,
+    plan: str | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Writes table.md, report.json, predictions.csv and plots into `out`.
@@ -66,6 +67,7 @@ def evaluate(
         model: A checkpoint. rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
         cache: Of recordings; None: the run's own, where there is one. workers: Processes that fill it.
         baselines: Also learn and test those.
+        plan: Of a dataset without pictures that does not keep its own.
     Returns:
         What report.json holds.
     Raises:
@@ -84,7 +86,7 @@ def evaluate(
         cache = model.parent / CACHE
     scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
     try:
-        return _evaluate(dataset, checkpoint, model, out, chosen, device, cache or scratch, workers, baselines, progress)
+        return _evaluate(dataset, checkpoint, model, out, chosen, device, cache or scratch, workers, baselines, plan, progress)
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -92,9 +94,9 @@ def evaluate(
 
 def _evaluate(
     dataset: Dataset, checkpoint: Checkpoint, model: Path, out: Path, chosen: Sequence[str], device: str, cache: Path | None, workers: int,
-    baselines: bool, progress: Progress | None,
+    baselines: bool, plan: str | None, progress: Progress | None,
 ) -> dict[str, Any]:  # fmt: skip
-    everything = archive(dataset, [row["index"] for row in dataset.rows], checkpoint.config.input, cache, progress, workers)
+    everything = archive(dataset, [row["index"] for row in dataset.rows], checkpoint.config.input, cache, progress, workers, plan, device)
     learnt = _learn_baselines(dataset, everything, checkpoint.config) if baselines else None
     network = checkpoint.build().to(pick_device(device))
     total = sum(len(dataset.splits[name]) for name in chosen)

@@ -1,21 +1,19 @@
 """Presses at the network's size: averaged once, kept in memory or in a cache that several runs share. NumPy alone.
 
 A cache holds a whole dataset, so that trainings of different presses of it and their evaluations read it once; several processes fill it.
-Simulated and real presses lie in one schema (`gelsim.dataset`) and differ here in nothing.
+Simulated and real presses lie in one schema (`gelsim.dataset`) and differ here in nothing, but that episodes which were left without
+pictures are drawn here, small and into no file: that alone needs the simulator.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import itertools
 import json
-import multiprocessing
 import os
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.dataset import Dataset, load_dataset
-from gelsim.errors import DatasetError
+from gelsim.dataset import Dataset, lit, load_dataset
+from gelsim.errors import DatasetError, GelsimError
 from gelsim.results import Episode
-from gelsim.workers import in_environment, settings
+from gelsim.workers import Handful, LocalCrew, work_through
 from learn.config import InputConfig
 from learn.features import NAMES, press_features
 from learn.frames import FIXED_POINT, averaged_pixels, change_signal, fit_picture, levels_of
@@ -34,8 +32,10 @@ from learn.frames import FIXED_POINT, averaged_pixels, change_signal, fit_pictur
 CACHE = "cache"
 """Folder of a run where its recordings are kept."""
 _CACHE_VERSION = 2
-_AT_ONCE = 16
-"""Episodes that a process reads before it reports."""
+_DRAWN_VERSION = 1
+"""Of the light that is drawn here."""
+_AT_ONCE = 6
+"""Episodes that a process reads before it reports, at least; those of a press stay together, for their surface is prepared once."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -79,21 +79,25 @@ def record(
     return Recording(empty, pictures, change_signal(pictures, empty, inputs.deadband_levels), noise or Noise())
 
 
-def record_episode(episode: Episode, inputs: InputConfig) -> Recording:
-    """A recording from an episode; its camera's noise, if it was left out, comes along to be drawn later."""
+def record_episode(episode: Episode, inputs: InputConfig, taken: tuple[int, int] | None = None) -> Recording:
+    """A recording from an episode; its camera's noise, if it was left out, comes along to be drawn later.
+
+    Args:
+        taken: Rows and columns of the camera's pictures, where the episode's were drawn smaller.
+    """
     if not episode.background.size:
         raise DatasetError(f"episode {episode.row['index']}: has no pictures; gelsim dataset --light-of DIR draws them")
-    return record(list(episode.frames), episode.background, inputs, camera_noise(episode, inputs.picture))
+    return record(list(episode.frames), episode.background, inputs, camera_noise(episode, inputs.picture, taken))
 
 
-def camera_noise(episode: Episode, picture: tuple[int, int]) -> Noise:
-    """What is left of a camera's noise in the averaged pictures.
+def camera_noise(episode: Episode, picture: tuple[int, int], taken: tuple[int, int] | None = None) -> Noise:
+    """What is left of a camera's noise in the averaged pictures; of how many of the camera's pixels, says `taken` (`record_episode`).
 
     Photons give a variance in proportion to the linear radiance; here in proportion to the level, exact at half of it (a slope of the sRGB
     curve of about 1.2). Noise of neighbouring pixels is taken as independent, so a camera that interpolates colours has somewhat more.
     """
     after, well, before = (float(np.mean(part)) for part in episode.noise)
-    pixels = averaged_pixels(episode.background.shape, picture)
+    pixels = averaged_pixels(taken or episode.background.shape, picture)
     middle, slope = 0.214, 1.2 * 255  # linear radiance of level 127.5, levels per unit of it
     shot = (slope**2 * middle / well / 127.5) if well > 0 else 0.0
     return Noise(float(np.sqrt((after**2 + (slope * before) ** 2) / pixels)), shot / pixels)
@@ -149,16 +153,18 @@ class Archive:
 
 def archive(
     dataset: Dataset, indices: Sequence[int], inputs: InputConfig, cache: Path | None = None, progress: Progress | None = None,
-    workers: int = 0,
+    workers: int = 0, plan: str | None = None, device: str = "auto",
 ) -> Archive:  # fmt: skip
-    """Reads episodes and averages their pictures.
+    """Reads episodes and averages their pictures, which are drawn where they were left out.
 
     Args:
         indices: Values of `index` in the dataset's rows.
         cache: A folder where the whole dataset is kept, or was by an earlier call; None: these episodes alone, in memory.
         workers: Processes that read; 0: this one.
+        plan: The plan of a dataset without pictures, where that does not keep its own.
+        device: Where pictures are drawn: on the CPU alone if "cpu", else on CUDA where that works, all of whose devices share the workers.
     Raises:
-        DatasetError: An episode is damaged.
+        DatasetError: An episode is damaged. SceneError, RenderError: Pictures cannot be drawn.
     """
     wanted = [dataset.rows[dataset.positions[index]] for index in indices]
     rows = wanted if cache is None else dataset.rows
@@ -166,9 +172,10 @@ def archive(
     shape = (int(begins[-1]), *inputs.picture, 3)
     if cache is None:
         pictures = np.empty(shape, np.uint16)
-        arrays = _join(_read(dataset, rows, begins, inputs, pictures, number) for number in range(0, len(rows), _AT_ONCE))
+        light, _ = _light(dataset, rows, plan, device, progress)
+        arrays = _Reader(dataset, rows, begins, inputs, pictures, light)(tuple(range(len(rows))))
     else:
-        pictures, arrays = _cached(dataset, begins, shape, inputs, cache, progress, workers)
+        pictures, arrays = _cached(dataset, begins, shape, inputs, cache, progress, workers, plan, device)
     where = {row["index"]: number for number, row in enumerate(rows)}
     firsts = begins - np.arange(len(begins))  # without the no-contact frames
     parts = [slice(*pair) for pair in itertools.pairwise(firsts)]
@@ -181,11 +188,13 @@ def archive(
 
 def _cached(
     dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, cache: Path, progress: Progress | None,
-    workers: int,
+    workers: int, plan: str | None, device: str,
 ) -> tuple[NDArray[np.uint16], dict[str, NDArray[Any]]]:  # fmt: skip
     rows = dataset.rows
+    dark = not all(map(lit, rows))
+    drawn = [_DRAWN_VERSION, dataset.info.get("plan_sha256"), dataset.info.get("seed")] if dark else []
     sizes = [(dataset.folder / row["file"]).stat().st_size for row in rows if (dataset.folder / row["file"]).is_file()]
-    identity = json.dumps([_CACHE_VERSION, rows, sizes, inputs.picture, inputs.deadband_levels, NAMES], sort_keys=True)
+    identity = json.dumps([_CACHE_VERSION, rows, sizes, inputs.picture, inputs.deadband_levels, NAMES, *drawn], sort_keys=True)
     home = cache / hashlib.sha256(identity.encode()).hexdigest()[:16]
     if (home / "pictures.npy").is_file():
         try:
@@ -198,22 +207,27 @@ def _cached(
     partial.mkdir(parents=True, exist_ok=True)
     target = partial / "pictures.npy"
     pictures = np.lib.format.open_memmap(target, mode="w+", dtype=np.uint16, shape=shape)
-    firsts = range(0, len(rows), _AT_ONCE)
+    light, gpus = _light(dataset, rows, plan, device, progress)
+    handfuls = _handfuls(rows)
+    found: dict[Handful, dict[str, NDArray[Any]]] = {}
 
-    def told(found: Iterator[dict[str, NDArray[Any]]]) -> Iterator[dict[str, NDArray[Any]]]:
-        for first, part in zip(firsts, found, strict=True):
-            if progress:
-                progress("reading presses", min(first + _AT_ONCE, len(rows)), len(rows))
-            yield part
+    def told(handful: Handful, part: dict[str, NDArray[Any]]) -> None:
+        found[handful] = part
+        if progress:
+            progress("drawing presses" if dark else "reading presses", sum(map(len, found)), len(rows))
 
     if workers < 2:
-        arrays = _join(told(_read(dataset, rows, begins, inputs, pictures, first) for first in firsts))
+        read = _Reader(dataset, rows, begins, inputs, pictures, light)
+        for handful in handfuls:
+            told(handful, read(handful))
     else:
-        # Fresh processes: they load neither torch nor what this one has in memory.
-        spawned = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(workers, len(firsts)), spawned, _open_worker, (dataset.folder, inputs, target))
-        with in_environment(settings(1)), pool:  # they leave the other cores to each other
-            arrays = _join(told(pool.map(_work, firsts)))
+        # Fresh processes of one core each: they load neither torch nor what this one has in memory.
+        arguments = (dataset.folder, inputs, target, light)
+        for handful, part in work_through(handfuls, LocalCrew(workers, gpus=gpus), _make_worker, arguments, _lost):
+            if isinstance(part, str):
+                raise DatasetError(part)
+            told(handful, part)
+    arrays = _join([found[handful] for handful in handfuls])
     np.savez(partial / "arrays.npz", allow_pickle=False, **arrays)
     assert isinstance(pictures, np.memmap)
     pictures.flush()
@@ -224,43 +238,95 @@ def _cached(
     return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), arrays
 
 
-def _read(
-    dataset: Dataset, rows: list[dict[str, Any]], begins: NDArray[np.int_], inputs: InputConfig, pictures: NDArray[np.uint16], first: int
-) -> dict[str, NDArray[Any]]:
-    """Reads rows[first : first + _AT_ONCE] into `pictures`, and gives what else is kept of them."""
-    signals, features, noises = [], [], []
-    for number in range(first, min(first + _AT_ONCE, len(rows))):
-        row = rows[number]
-        episode = dataset.read(dataset.positions[row["index"]])
-        if len(episode.frames) != row["frames"]:
-            raise DatasetError(f"{dataset.folder / row['file']}: holds {len(episode.frames)} frames, its row says {row['frames']}")
-        recording = record_episode(episode, inputs)
-        pictures[begins[number]] = np.rint(recording.background * FIXED_POINT)
-        pictures[begins[number] + 1 : begins[number + 1]] = np.rint(recording.pictures * FIXED_POINT)
-        signals.append(recording.signal)
-        markers = episode.marker_pixels / episode.background.shape[1]
-        features.append(press_features(recording.pictures, recording.background, recording.signal, markers))
-        noises.append((recording.noise.flat, recording.noise.shot))
-    return {"signal": np.concatenate(signals), "features": np.concatenate(features), "noise": np.array(noises, float)}
+@dataclass(frozen=True)
+class _Light:
+    """How episodes without pictures are drawn: what `gelsim.generate.darkroom.prepare` found."""
+
+    plan: str
+    device: str
 
 
-def _join(parts: Iterator[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    found = list(parts)
-    return {name: np.concatenate([part[name] for part in found]) for name in ("signal", "features", "noise")}
+def _light(
+    dataset: Dataset, rows: list[dict[str, Any]], plan: str | None, device: str, progress: Progress | None
+) -> tuple[_Light | None, list[str]]:
+    """None where there is nothing to draw; and the CUDA devices that workers share."""
+    if all(map(lit, rows)):
+        return None, []
+    from gelsim.generate.darkroom import prepare
+
+    # A learner on CUDA is content with light from the CPU where there is no way to draw on CUDA.
+    name, found, gpus = prepare(dataset, plan, "cpu" if device == "cpu" else "auto", progress)
+    return _Light(name, found), gpus
+
+
+def _handfuls(rows: list[dict[str, Any]]) -> list[Handful]:
+    """Numbers of rows that follow each other, whole presses, _AT_ONCE or more."""
+    handfuls: list[Handful] = []
+    current: list[int] = []
+    for _, of_press in itertools.groupby(range(len(rows)), key=lambda number: rows[number]["mechanics"]):
+        current += of_press
+        if len(current) >= _AT_ONCE:
+            handfuls.append(tuple(current))
+            current = []
+    return handfuls + ([tuple(current)] if current else [])
+
+
+class _Reader:
+    """Reads or draws some of `rows` into `pictures`, and gives what else is kept of them."""
+
+    def __init__(
+        self, dataset: Dataset, rows: list[dict[str, Any]], begins: NDArray[np.int_], inputs: InputConfig, pictures: NDArray[np.uint16],
+        light: _Light | None,
+    ) -> None:  # fmt: skip
+        self._dataset, self._rows, self._begins, self._inputs, self._pictures = dataset, rows, begins, inputs, pictures
+        if light is not None:
+            from gelsim.generate.darkroom import Darkroom
+
+            self._darkroom = Darkroom(dataset.folder, light.plan, light.device, inputs.picture)
+
+    def __call__(self, numbers: Handful) -> dict[str, NDArray[Any]]:
+        signals, features, noises = [], [], []
+        for number in numbers:
+            row, first, end = self._rows[number], self._begins[number], self._begins[number + 1]
+            position = self._dataset.positions[row["index"]]
+            taken = None if lit(row) else self._darkroom.taken
+            episode = self._dataset.read(position) if lit(row) else self._darkroom.episode(position)
+            if len(episode.frames) != row["frames"]:
+                raise DatasetError(
+                    f"{self._dataset.folder / row['file']}: holds {len(episode.frames)} frames, its row says {row['frames']}"
+                )
+            recording = record_episode(episode, self._inputs, taken)
+            self._pictures[first] = np.rint(recording.background * FIXED_POINT)
+            self._pictures[first + 1 : end] = np.rint(recording.pictures * FIXED_POINT)
+            signals.append(recording.signal)
+            markers = episode.marker_pixels / episode.background.shape[1]
+            features.append(press_features(recording.pictures, recording.background, recording.signal, markers))
+            noises.append((recording.noise.flat, recording.noise.shot))
+        return {"signal": np.concatenate(signals), "features": np.concatenate(features), "noise": np.array(noises, float)}
+
+
+def _join(parts: Sequence[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in ("signal", "features", "noise")}
 
 
 # ---- in a reading process ----
 
-_worker: Callable[[int], dict[str, NDArray[Any]]]
 
-
-def _open_worker(folder: Path, inputs: InputConfig, target: Path) -> None:
+def _make_worker(
+    folder: Path, inputs: InputConfig, target: Path, light: _Light | None
+) -> Callable[[Handful], tuple[Handful, dict[str, NDArray[Any]] | str]]:
     dataset = load_dataset(folder)
     begins = np.cumsum([0] + [1 + row["frames"] for row in dataset.rows])
-    pictures = np.load(target, mmap_mode="r+", allow_pickle=False)
-    global _worker  # noqa: PLW0603
-    _worker = functools.partial(_read, dataset, dataset.rows, begins, inputs, pictures)
+    read = _Reader(dataset, dataset.rows, begins, inputs, np.load(target, mmap_mode="r+", allow_pickle=False), light)
+
+    def work(handful: Handful) -> tuple[Handful, dict[str, NDArray[Any]] | str]:
+        try:
+            return handful, read(handful)
+        except GelsimError as error:
+            return handful, str(error)
+
+    return work
 
 
-def _work(first: int) -> dict[str, NDArray[Any]]:
-    return _worker(first)
+def _lost(handful: Handful, status: str, message: str) -> tuple[Handful, str]:
+    return handful, f"reading presses: a process ended ({status}, {message})"

@@ -76,6 +76,7 @@ def train(
     vgg_weights: Path | None = None,
     device: str = "auto",
     cache: Path | None = None,
+    plan: str | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Trains to `config.train.steps` and writes a run folder.
@@ -85,6 +86,7 @@ def train(
         out: config.json, run.json, curves.*, tensorboard/, last.pt, model.pt, report.json, cache/.
         init: A checkpoint to begin from; the config must name the same network.
         cache: Of recordings, which several runs may share; None: the run's own.
+        plan: Of datasets without pictures that do not keep theirs.
     Returns:
         What report.json holds.
     Raises:
@@ -93,20 +95,21 @@ def train(
     """
     with _place(device) as place:
         return _train(
-            place, data, out, config, real, resume, force, init, vgg_weights, cache or out / CACHE, progress if place.first else None
-        )
+            place, data, out, config, real, resume, force, init, vgg_weights, cache or out / CACHE, plan, device,
+            progress if place.first else None,
+        )  # fmt: skip
 
 
 def _train(
     place: Place, data: Path, out: Path, config: Config, real: Path | None, resume: bool, force: bool, init: Path | None, vgg: Path | None,
-    cache: Path, progress: Progress | None,
+    cache: Path, plan: str | None, device: str, progress: Progress | None,
 ) -> dict[str, Any]:  # fmt: skip
     began = time.perf_counter()
     datasets = [load_dataset(path) for path in (data, real) if path is not None]
     provenance = _provenance(datasets, init, vgg)
     if place.first:
         _open_run(out, config, provenance, resume, force)
-    parts, presses = _gather(place, datasets, config, cache, progress)
+    parts, presses = _gather(place, datasets, config, cache, progress, plan, device)
     read = time.perf_counter() - began
     stream, held = Stream(parts, config, place.device), batches(presses, place.device)
     kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
@@ -255,7 +258,7 @@ def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Pa
 
 
 def _gather(
-    place: Place, datasets: list[Dataset], config: Config, cache: Path, progress: Progress | None
+    place: Place, datasets: list[Dataset], config: Config, cache: Path, progress: Progress | None, plan: str | None, device: str
 ) -> tuple[list[Archive], list[Press]]:
     """The archives to train on, and the presses to validate on: real ones where there are any."""
     divided = [sides(dataset, config.train.seed) for dataset in datasets]
@@ -266,12 +269,16 @@ def _gather(
     if not place.first:  # the first process fills the cache, the others map it
         distributed.barrier()
     workers = config.train.workers
-    parts = [archive(dataset, train, config.input, cache, progress, workers) for dataset, (train, _) in zip(datasets, divided, strict=True)]
+
+    def read(number: int, indices: list[int]) -> Archive:
+        return archive(datasets[number], indices, config.input, cache, progress, workers, plan, device)
+
+    parts = [read(number, train) for number, (train, _) in enumerate(divided)]
     with_validation = [number for number, (_, validation) in enumerate(divided) if validation]
     held: list[Press] = []
     if place.first and with_validation:
         number = with_validation[-1]
-        part = archive(datasets[number], divided[number][1], config.input, cache, progress, workers)
+        part = read(number, divided[number][1])
         presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
         held = [press for press in presses if press is not None]
     if place.first and place.world > 1:

@@ -23,7 +23,7 @@ from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, scene_of
-from gelsim.generate.run import Book, Progress, crew_of, features, measure_lights, report_of, sums_of
+from gelsim.generate.run import Book, Progress, crew_of, features, kept_plan, measure_lights, report_of, sums_of
 from gelsim.randomize import EPISODE, Catalogue, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
@@ -59,7 +59,7 @@ def relight(
     data = load_dataset(source)
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
-    name = plan or str(data.info.get("plan"))
+    name = plan or plan_of(data)
     if sensor is None:
         catalogue = own_catalogue(data, name)
         width, height = catalogue.plan.resolution
@@ -107,6 +107,12 @@ def relight(
     return report_of(book, out, {row["index"] for row in data.rows}, before, crew.count, time.perf_counter() - start)
 
 
+def plan_of(data: Dataset) -> str:
+    """What `load_plan` finds a dataset's plan by: the file that it keeps, else (an older one) the name of a plan that comes along."""
+    kept = kept_plan(data.folder)
+    return str(kept) if kept.is_file() else str(data.info.get("plan"))
+
+
 def own_catalogue(data: Dataset, plan: str) -> Catalogue:
     """The plan that a dataset was made from, as it was then. Raises SceneError."""
     if data.info.get("light_of") is not None:
@@ -146,8 +152,10 @@ def make_relighter(source: Path, sensor: str | None, plan: str, seed: int, out: 
     return work
 
 
-def relit_episode(data: Dataset, position: int, sensor: str | None, catalogue: Catalogue, studio: Studio) -> recording.Made:
-    """One episode, drawn again."""
+def relit_episode(
+    data: Dataset, position: int, sensor: str | None, catalogue: Catalogue, studio: Studio, resolution: tuple[int, int] | None = None
+) -> recording.Made:
+    """One episode, drawn again; `resolution` in place of its scene's."""
     row = data.rows[position]
     kept = {key: value for key, value in row.items() if key not in ("frames", "peak_force_n", "file", "peak_approach_mm", "pictures")}
     if sensor is None:
@@ -158,5 +166,7 @@ def relit_episode(data: Dataset, position: int, sensor: str | None, catalogue: C
         rng = generator(catalogue.seed, EPISODE, row["index"], 1)
         scene = build_scene(scene_table(base), draw_fields(catalogue.plan.episode_fields, rng, row["index"], base))
         kept["sensor"] = sensor
+    if resolution is not None:
+        scene = scene.replace(render=dataclasses.replace(scene.render, resolution=resolution))
     approach = np.array(unpacked(data.member(position, "labels.npz"))["approach"])
     return recording.pictured(scene, base, data.member(position, "mechanics.npz"), approach, kept, studio)

@@ -17,6 +17,7 @@ from typing import Any
 
 from gelsim.dataset import SCHEMA, Survey, survey, write_episode, write_meta
 from gelsim.errors import DatasetError, GelsimError, SceneError
+from gelsim.files import whole_file
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, is_measured
@@ -86,6 +87,7 @@ def generate(
         if (missing := [end for end in of_press if number * ends + end not in book.known])
     }
     book.write()
+    _keep(catalogue, out)
     total, before = episodes, sum(len(of_press) for of_press in wanted.values()) - sum(len(of_press) for of_press in todo.values())
     if todo:
         presses = {number: catalogue.press(number) for number in todo}
@@ -301,6 +303,20 @@ class Book:
                 file.writelines(json.dumps(row) + "\n" for row in seconds)
         except OSError as error:
             raise DatasetError(f"{self.out}/meta/seconds.jsonl: cannot be written ({error.strerror})") from None
+
+
+def kept_plan(folder: Path) -> Path:
+    """Where a dataset keeps the plan that it was made from: whoever draws its light later needs nothing else."""
+    return folder / "meta" / "plan.json"
+
+
+def _keep(catalogue: Catalogue, out: Path) -> None:
+    path = kept_plan(out)
+    try:
+        with whole_file(path) as partial:
+            partial.write_text(json.dumps(catalogue.plan.table, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def _info(catalogue: Catalogue, light: bool) -> dict[str, Any]:
