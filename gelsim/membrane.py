@@ -65,13 +65,13 @@ def membrane_states(scene: Scene, deformation: Deformation) -> list[Membrane]:
 class Surface:
     """A gel's coated surface between the nodes of its mesh: the interpolation made ready once for all states."""
 
-    def __init__(self, gel: Gel, nodes: NDArray[np.float64]) -> None:
-        """From the rest places x, y of the surface's nodes [m], shape (G, 2)."""
+    def __init__(self, gel: Gel, nodes: NDArray[np.float64], spacing: float = GRID_SPACING) -> None:
+        """From the rest places x, y of the surface's nodes [m], shape (G, 2); `spacing` of the material grid [m]."""
         from gelsim.clough_tocher import Interpolation
 
         self.gel, self.nodes = gel, nodes
         self._interpolation = Interpolation(nodes)
-        self._grid = _Grid(gel)
+        self._grid = _Grid(gel, spacing)
         # Single precision: 2 mm to a tenth of a nanometre, and half the memory to go through.
         self._to_grid = self._interpolation.operator(self._grid.places).astype(np.float32)
 
@@ -88,9 +88,9 @@ class Surface:
 class _Grid:
     """The regular grid of material points that is drawn, row by row."""
 
-    def __init__(self, gel: Gel) -> None:
+    def __init__(self, gel: Gel, spacing: float = GRID_SPACING) -> None:
         size = np.array(gel.size_mm) * 1e-3
-        self._columns, rows = columns, rows = [int(np.ceil(side / GRID_SPACING)) + 1 for side in size]
+        self._columns, rows = columns, rows = [int(np.ceil(side / spacing)) + 1 for side in size]
         along = [np.linspace(-side / 2, side / 2, count) for side, count in zip(size, (columns, rows), strict=True)]
         self.places = np.stack([np.tile(along[0], rows), np.repeat(along[1], columns)], axis=1)
         """Rest x, y of the vertices [m], shape (M, 2)."""

@@ -203,11 +203,11 @@ def _cached(
             return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), arrays
         except (OSError, ValueError, zipfile.BadZipFile):
             shutil.rmtree(home)
+    light, gpus = _light(dataset, rows, plan, device, progress)  # before there is anything to leave behind
     partial = home.with_name(f"{home.name}-{os.getpid()}.partial")
     partial.mkdir(parents=True, exist_ok=True)
     target = partial / "pictures.npy"
     pictures = np.lib.format.open_memmap(target, mode="w+", dtype=np.uint16, shape=shape)
-    light, gpus = _light(dataset, rows, plan, device, progress)
     handfuls = _handfuls(rows)
     found: dict[Handful, dict[str, NDArray[Any]]] = {}
 

@@ -3,7 +3,8 @@
     python docs/studies/learner_run.py --data data --gap gap --fixed fixed --out runs --gpus 4 --minutes 12
 
 `--data` is of plan paper2017, `--gap` of plan gap, `--fixed` of plan fixed (the last two may be left out), all of one seed: the test
-rows of gap then hold objects that nothing was trained on. What is done:
+rows of gap then hold objects that nothing was trained on. Datasets without pictures (`gelsim dataset --no-light`) are drawn while they are
+read, once for all runs; gap, whose pictures are traced, has to bring them. What is done:
 
     main           our network, longest
     control        the same, as long as the ablations; no-*: with one departure undone; quarter, sixteenth: on fewer presses
@@ -68,9 +69,9 @@ from pathlib import Path
 from gelsim.dataset import load_dataset
 from learn.config import configure
 from learn.recordings import archive
-data, preset, cache, workers = sys.argv[1:]
+data, preset, cache, workers, plan = sys.argv[1:]
 dataset = load_dataset(data)
-archive(dataset, [dataset.rows[0]["index"]], configure(preset).input, Path(cache), workers=int(workers))
+archive(dataset, [dataset.rows[0]["index"]], configure(preset).input, Path(cache), workers=int(workers), plan=plan or None)
 """
 
 
@@ -101,6 +102,7 @@ class Study:
     end: float
     cache: Path
     threads: int
+    plan: str = ""
     lost: dict[str, str] = field(default_factory=dict)
 
     def command(self, name: str, gpu: int, *arguments: str | Path, threads: int | None = None) -> None:
@@ -142,12 +144,12 @@ class Study:
 
 def main(
     data: Path, out: Path, gap: Path | None, fixed: Path | None, gpus: int, cores: int, minutes: float, steps: int | None, paper: bool,
-    per_gpu: int, more: Sequence[str],
+    per_gpu: int, more: Sequence[str], plan: str,
 ) -> None:  # fmt: skip
     began = time.monotonic()
     slots = [gpu for _ in range(per_gpu) for gpu in range(max(gpus, 1))]
     out.mkdir(parents=True, exist_ok=True)
-    study = Study(out, gpus, cores, began + 60 * minutes, out / "cache", max(1, cores // len(slots)))
+    study = Study(out, gpus, cores, began + 60 * minutes, out / "cache", max(1, cores // len(slots)), plan)
     sets = {name: path for name, path in (("data", data), ("gap", gap), ("fixed", fixed)) if path is not None}
     seconds = {"reading": read(study, sets, paper)}
     lengths, pilot = plan_lengths(study, data, minutes, steps, paper, slots, per_gpu)
@@ -166,7 +168,7 @@ def read(study: Study, sets: dict[str, Path], paper: bool) -> float:
         presets = ("default", "paper") if paper and name == "data" else ("default",)
         for preset in presets:
             # In a process of its own: those that read are its copies, and this one has loaded torch.
-            subprocess.run([sys.executable, "-c", READ, path, preset, study.cache, str(study.cores)], check=True)
+            subprocess.run([sys.executable, "-c", READ, path, preset, study.cache, str(study.cores), study.plan], check=True)
             print(f"read {name} for {preset}: {time.monotonic() - start:.0f} s", flush=True)
     return time.monotonic() - start
 
@@ -488,9 +490,10 @@ if __name__ == "__main__":
     parser.add_argument("--per-gpu", type=int, default=2, help="trainings side by side on a GPU")
     parser.add_argument("--steps", type=int, help="main's, instead of a pilot")
     parser.add_argument("--more", default="", help="flags for each of our trainings; for a rehearsal: '--preset mini --batch 4'")
+    parser.add_argument("--plan", default="", help="of --data without pictures that do not keep it: a file of the user's own")
     parser.add_argument("--no-paper", action="store_true", help="leaves out --model paper, which takes long on a CPU")
     given = parser.parse_args()
     main(
         given.data, given.out, given.gap, given.fixed, given.gpus, given.cores, given.minutes, given.steps, not given.no_paper,
-        given.per_gpu, given.more.split(),
+        given.per_gpu, given.more.split(), given.plan,
     )  # fmt: skip

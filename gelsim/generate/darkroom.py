@@ -21,6 +21,9 @@ from gelsim.results import Episode
 
 FINER = 2
 """Drawn pixels along a side of a pixel that is wanted: whole, so that averaging cuts none."""
+SPACING = 0.12e-3
+"""Of the material grid [m], 0.08 mm in other pictures: half the vertices. Averaged to 128 × 96 pixels, 18 episodes differ by 0.76
+levels rms from what pictures of 320 × 240 at 0.08 mm give; with 0.08 mm by 0.75, with 0.16 by 0.82."""
 
 
 def prepare(data: Dataset, plan: str | None, device: str, progress: Progress | None) -> tuple[str, str, list[str]]:
@@ -56,7 +59,7 @@ class Darkroom:
         """With what `prepare` gave; `picture`: rows and columns that will be made of the pictures."""
         self._data = load_dataset(folder)
         self._catalogue: Catalogue = own_catalogue(self._data, plan)
-        self._studio = Studio(device)
+        self._studio = Studio(device, SPACING)
         self._drawn = small(self._catalogue.plan.resolution, picture)
 
     @property

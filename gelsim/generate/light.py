@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import DatasetError, SceneError
 from gelsim.lightfield import LightField
-from gelsim.membrane import Surface
+from gelsim.membrane import GRID_SPACING, Surface
 from gelsim.results import Membrane
 from gelsim.scene import Camera, Scene
 from gelsim.scene_file import build_scene
@@ -35,9 +35,11 @@ AT_ONCE = 8
 class Studio:
     """Draws the presses of many scenes, seen by few sensors; keeps the sensors' light fields."""
 
-    def __init__(self, device: str = "cpu") -> None:
+    def __init__(self, device: str = "cpu", spacing: float = GRID_SPACING) -> None:
+        """`spacing`: Of the material grid that surfaces are drawn on [m]."""
         from gelsim import optics
 
+        self._spacing = spacing
         self._variant = optics.choose_variant(device)
         self._fields: dict[str, LightField] = {}
         self._surface: Surface | None = None
@@ -57,7 +59,7 @@ class Studio:
         """The coated surface from the motion of its nodes; episodes of a press that follow each other share it."""
         last = self._surface
         if last is None or last.gel != scene.gel or not np.array_equal(last.nodes, nodes):
-            self._surface = last = Surface(scene.gel, nodes)
+            self._surface = last = Surface(scene.gel, nodes, self._spacing)
         return last.states(scene, displacement)
 
     def pictures(self, scene: Scene, sensor: Scene, membranes: list[Membrane]) -> list[NDArray[np.uint8]]:

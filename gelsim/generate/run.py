@@ -87,7 +87,7 @@ def generate(
         if (missing := [end for end in of_press if number * ends + end not in book.known])
     }
     book.write()
-    _keep(catalogue, out)
+    keep_plan(catalogue, out)
     total, before = episodes, sum(len(of_press) for of_press in wanted.values()) - sum(len(of_press) for of_press in todo.values())
     if todo:
         presses = {number: catalogue.press(number) for number in todo}
@@ -310,7 +310,8 @@ def kept_plan(folder: Path) -> Path:
     return folder / "meta" / "plan.json"
 
 
-def _keep(catalogue: Catalogue, out: Path) -> None:
+def keep_plan(catalogue: Catalogue, out: Path) -> None:
+    """Raises DatasetError where it cannot be written."""
     path = kept_plan(out)
     try:
         with whole_file(path) as partial:
