@@ -35,6 +35,10 @@ class NumPyArrays:
     def floats(self, values: Any) -> Values:
         return np.ascontiguousarray(values, np.float32).ravel()
 
+    def numbers(self, values: Any) -> list[Values]:
+        """Arrays of one number each, which go with those of any length: cheaper than to gather the same one in every lane."""
+        return list(np.asarray(values, np.float32).reshape(-1, 1))
+
     def words(self, values: Any) -> Values:
         """uint32, whose sums and products wrap."""
         return np.asarray(values).astype(np.uint32)
@@ -59,6 +63,10 @@ class NumPyArrays:
     def interleave(self, columns: list[Values]) -> Values:
         """The inverse of `packet` over all indices."""
         return np.stack([np.asarray(column, np.float32) for column in columns], axis=1).ravel()
+
+    def stored(self, values: Values) -> Values:
+        """Computed before it is gathered from, not anew at every place that gathers."""
+        return values
 
     def running_minimum(self, values: Values, kept: Values, lines: int, steps: int) -> Values:
         """Along steps, the smallest value so far, and what `kept` holds at its step.
@@ -105,9 +113,14 @@ class DrJitArrays:
         self.power: Any = drjit.power
 
     def floats(self, values: Any) -> Values:
+        """Perhaps the very memory of `values`, which may not be written to afterwards."""
         if self._dr.is_array_v(values):  # a Mitsuba variant's
             return self._float(self._dr.detach(values))
         return self._float(_aligned(np.asarray(values, np.float32)))
+
+    def numbers(self, values: Any) -> list[Values]:
+        flat = np.asarray(values, np.float32).ravel()
+        return [self._dr.opaque(self._float, number) for number in flat.tolist()]
 
     def words(self, values: Any) -> Values:
         return self._word(_aligned(values) if isinstance(values, np.ndarray) else values)
@@ -131,6 +144,10 @@ class DrJitArrays:
 
     def interleave(self, columns: list[Values]) -> Values:
         return self._dr.ravel(self._packets[len(columns)](*columns))
+
+    def stored(self, values: Values) -> Values:
+        self._dr.eval(values)
+        return values
 
     def running_minimum(self, values: Values, kept: Values, lines: int, steps: int) -> Values:
         dr = self._dr
@@ -166,16 +183,26 @@ class DrJitArrays:
         return call
 
     def numpy(self, values: Values) -> np.ndarray:
-        return np.array(values)
+        # Of LLVM's the memory itself, which lives as long as the view: a copy of a picture costs half a millisecond.
+        return np.asarray(values)
+
+
+def aligned_room(count: int, kind: type = np.float32) -> np.ndarray:
+    """Numbers at a multiple of 64 bytes: Dr.Jit uses NumPy's memory as it lies, and would trace anew if it lay otherwise."""
+    size = count * np.dtype(kind).itemsize
+    room = np.empty(size + 64, np.uint8)
+    start = -room.ctypes.data % 64
+    return room[start : start + size].view(kind)
 
 
 def _aligned(values: np.ndarray) -> np.ndarray:
-    """Flat, at a multiple of 64 bytes: Dr.Jit uses NumPy's memory as it lies, and would trace anew for an array that lies otherwise."""
-    room = np.empty(values.nbytes + 64, np.uint8)
-    start = -room.ctypes.data % 64
-    flat = room[start : start + values.nbytes].view(values.dtype)
-    flat[:] = values.ravel()
-    return flat
+    """Flat, and where Dr.Jit can use it: as it is, or a copy."""
+    flat = values.ravel()
+    if flat.ctypes.data % 64 == 0:
+        return flat
+    room = aligned_room(flat.size, flat.dtype.type)
+    room[:] = flat
+    return room
 
 
 Arrays = NumPyArrays | DrJitArrays

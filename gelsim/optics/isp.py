@@ -53,15 +53,18 @@ def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDAr
         Shape (H, W, 3).
     """
     arrays = NumPyArrays()
-    pipeline, tables = camera_pipeline(scene)
+    pipeline, tables = camera_pipeline(scene, arrays)
     colour = [np.ascontiguousarray(radiance[..., channel], np.float32).ravel() for channel in range(3)]
     pixel = arrays.range(len(colour[0]))
     words = develop_pixels(arrays, pipeline, tables, colour, pixel, pixel * 0, frame_keys(scene, [index]))
     return as_picture(packed_bytes(arrays, words), radiance.shape[:2])
 
 
-def camera_pipeline(scene: Scene) -> tuple[Pipeline, dict[str, NDArray[np.float32]]]:
-    """The scene's pipeline, and its numbers: "gain" by channel, or by channel and pixel; "camera", shot, read, late noise and exponent."""
+def camera_pipeline(scene: Scene, arrays: Arrays) -> tuple[Pipeline, dict[str, Any]]:
+    """The scene's pipeline, and its numbers on the backend.
+
+    "gain": by channel, or by channel and pixel. "camera": shot, read and late noise by channel, exponent.
+    """
     camera = scene.camera
     gain = shading_gain(scene) * (camera.exposure * np.array(camera.white_balance))
     if camera.fresnel:
@@ -70,8 +73,10 @@ def camera_pipeline(scene: Scene) -> tuple[Pipeline, dict[str, NDArray[np.float3
     shot = np.divide(1.0, electrons, out=np.zeros(3), where=electrons > 0)
     numbers = np.concatenate([shot, np.square(camera.read_noise), camera.noise_sd, [camera.gamma]])
     early, late = any(camera.full_well) or any(camera.read_noise), any(camera.noise_sd)
-    pipeline = Pipeline(gain.shape[:2] != (1, 1), early, late, camera.tone == "srgb", camera.gamma != 1.0)
-    return pipeline, {"gain": gain.reshape(-1, 3).T.astype(np.float32).ravel(), "camera": numbers.astype(np.float32)}
+    by_pixel = gain.shape[:2] != (1, 1)
+    pipeline = Pipeline(by_pixel, early, late, camera.tone == "srgb", camera.gamma != 1.0)
+    gain = gain.reshape(-1, 3).T
+    return pipeline, {"gain": arrays.floats(gain) if by_pixel else arrays.numbers(gain), "camera": arrays.numbers(numbers)}
 
 
 def frame_keys(scene: Scene, indices: list[int]) -> NDArray[np.uint32]:
@@ -80,34 +85,30 @@ def frame_keys(scene: Scene, indices: list[int]) -> NDArray[np.uint32]:
 
 
 def develop_pixels(
-    ar: Arrays, pipeline: Pipeline, t: dict[str, Values], colour: list[Values], pixel: Values, frame: Values, keys: Values
+    ar: Arrays, pipeline: Pipeline, t: dict[str, Any], colour: list[Values], pixel: Values, frame: Values, keys: Values
 ) -> Values:
     """8-bit red, green and blue in the low three bytes of a word, for every lane.
 
     Args:
-        t: Of `camera_pipeline`, on the backend.
+        t: Of `camera_pipeline`.
         colour: Radiance by channel.
         pixel, frame: Number of the pixel in its frame, and of the frame in `keys` (words, of `frame_keys`).
     """
-    zero = pixel * 0
-
-    def number(k: int) -> Values:
-        return ar.gather(t["camera"], zero + k)
-
-    pixels = len(t["gain"]) // 3
-    levels = [a * ar.gather(t["gain"], pixel + c * pixels if pipeline.by_pixel else zero + c) for c, a in enumerate(colour)]
+    number, gain = t["camera"], t["gain"]
+    pixels = len(gain) // 3
+    levels = [a * (ar.gather(gain, pixel + c * pixels) if pipeline.by_pixel else gain[c]) for c, a in enumerate(colour)]
     if pipeline.early_noise:
         normal = _normals(ar, pixel, frame, keys, 0)
-        levels = [a + ar.sqrt(ar.maximum(a, 0.0) * number(c) + number(3 + c)) * normal[c] for c, a in enumerate(levels)]
+        levels = [a + ar.sqrt(ar.maximum(a, 0.0) * number[c] + number[3 + c]) * normal[c] for c, a in enumerate(levels)]
     levels = [ar.minimum(ar.maximum(a, 0.0), 1.0) for a in levels]
     if pipeline.srgb:
         levels = [ar.select(a <= FOOT, 12.92 * a, 1.055 * ar.power(ar.maximum(a, FOOT), 1 / 2.4) - 0.055) for a in levels]
     if pipeline.bent:
-        levels = [ar.power(ar.maximum(a, 1e-6), number(9)) for a in levels]
+        levels = [ar.power(ar.maximum(a, 1e-6), number[9]) for a in levels]
     levels = [255.0 * a for a in levels]
     if pipeline.late_noise:
         normal = _normals(ar, pixel, frame, keys, 1)
-        levels = [a + number(6 + c) * normal[c] for c, a in enumerate(levels)]
+        levels = [a + number[6 + c] * normal[c] for c, a in enumerate(levels)]
     red, green, blue = (ar.words(ar.whole(ar.minimum(ar.maximum(a, 0.0), 255.0) + 0.5)) for a in levels)
     return red | (green << 8) | (blue << 16)
 
@@ -154,10 +155,9 @@ class Developer:
 
     def __init__(self, scene: Scene, arrays: Arrays) -> None:
         self._scene, self._arrays = scene, arrays
-        pipeline, tables = camera_pipeline(scene)
-        self._tables = {name: arrays.floats(values) for name, values in tables.items()}
+        pipeline, self._tables = camera_pipeline(scene, arrays)
 
-        def developed(tables: dict[str, Values], radiance: Values, keys: Values) -> Values:
+        def developed(tables: dict[str, Any], radiance: Values, keys: Values) -> Values:
             pixel = arrays.range(len(radiance) // 3)
             colour = [arrays.gather(radiance, pixel * 3 + channel) for channel in range(3)]
             return packed_bytes(arrays, develop_pixels(arrays, pipeline, tables, colour, pixel, pixel * 0, keys))
