@@ -20,6 +20,7 @@ from gelsim.bench import SECTIONS
 from gelsim.console import progress_bars
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.flags import Parser, add_scene_flags, layer_of
+from gelsim.limits import LIMITS
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, read_layer, scene_table
 from gelsim.study import STUDIES
@@ -61,6 +62,7 @@ examples:
   gelsim durometer --shore 30                       the modulus that reads 00-30
   gelsim durometer --modulus-kpa 100 --friction 0   what a block of 100 kPa reads under a tip that slides
   gelsim durometer --out out/durometer              the whole scale beside the published relations: table and plot
+  gelsim durometer --shore 40 --foot --friction 0.15   with the foot on the block, both sliding
 
 A tip is pressed into a block of 12 mm by finite elements; how far to trust a reading: docs/physics.md."""
 DATASET_EXAMPLES = """\
@@ -160,8 +162,8 @@ def _parser() -> Parser:
     wanted.add_argument("--modulus-kpa", type=float, metavar="E", help="Young's modulus of the block [kPa]: what does it read?")
     wanted.add_argument("--shore", type=float, metavar="H", help="a reading: of which modulus?")
     durometer.add_argument("--scale", choices=("00", "A"), default="00", help="type of durometer (default: 00)")
-    durometer.add_argument("--friction", choices=("0", "stick"), default="stick", help="of the tip on the block (default: stick)")
-    durometer.add_argument("--foot", action="store_true", help="with --shore: the foot rests on the block too, with the stand's dead load")
+    durometer.add_argument("--friction", default="stick", metavar="MU", help="of tip and foot on the block, 0 … 10 or stick (default)")
+    durometer.add_argument("--foot", action="store_true", help="the foot rests on the block too, with the stand's dead load")
     durometer.add_argument(
         "--fidelity", choices=("fast", "balanced", "reference"), default="balanced", help="of the mesh (default: balanced)"
     )
@@ -354,10 +356,10 @@ def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
 def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim import durometer
 
-    friction: float | str = durometer.SMOOTH if options.friction == "0" else durometer.STICK
+    friction = _friction(options.friction)
     if options.modulus_kpa is None and options.shore is None:
         with progress_bars() as progress:
-            rows = durometer.compare(options.scale, options.fidelity, progress=progress)
+            rows = durometer.compare(options.scale, options.fidelity, progress=progress, foot=options.foot)
         if options.out:
             durometer.write(Path(options.out), rows, options.scale)
         if not options.json:
@@ -366,7 +368,7 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {"scale": options.scale, "friction": options.friction, "foot": options.foot}
     if options.modulus_kpa is not None:
         if options.foot:
-            raise SceneError("--foot goes with --shore: its press is searched for one reading")
+            raise SceneError("--foot goes with --shore, or with the whole scale: its press is made for a reading")
         found["modulus_kpa"] = options.modulus_kpa
         found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity)
     else:
@@ -378,6 +380,16 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
         said = ", ".join(f"{name} {each:.4g}" for name, each in found["relations_kpa"].items() if each is not None)
         print(f"Shore {options.scale} {found['reading']:.4g}: E = {found['modulus_kpa']:.4g} kPa (closed forms at that reading: {said})")
     return found
+
+
+def _friction(text: str) -> float | str:
+    low, high = LIMITS["contact.friction_coefficient"]
+    try:
+        if text == "stick" or low <= float(text) <= high:
+            return text if text == "stick" else float(text)
+    except ValueError:
+        pass
+    raise SceneError(f'--friction {text}: allowed is {low:g} … {high:g}, or "stick"')
 
 
 def _dataset(options: argparse.Namespace) -> dict[str, Any]:

@@ -8,8 +8,9 @@ A durometer's spring (ASTM D2240) holds a tip out of a flat foot by d = T (1 - H
 
 The block carries F at that depth, so E(H) = F(H) / g(d(H)), where g(d) is the force at E = 1 that a neo-Hookean, nearly incompressible
 block of 12 mm on a rigid plate needs: one press, for forces scale with E. The presses are axisymmetric and quasi-static
-(`gelsim.fem.planar`); the tip slides freely or sticks. With `foot` the block is also pressed by the foot around the tip, a ring that
-carries the rest of the stand's dead load: soft silicone bulges into its hole. Then forces no longer scale, and E is searched for.
+(`gelsim.fem.planar`); the tip slides, freely or with friction, or sticks. With `foot` the block is also pressed by the foot around the tip,
+a ring that carries the rest of the stand's dead load: soft silicone bulges into its hole. Forces scale with E then too, so each reading
+takes one press: where the tip's share of the force has come down to the spring's share of the load, E is known.
 
 Beside them the closed forms: Hertz, F = (16/9) E √R d^1.5, which `gelsim.materials` uses; Sneddon's ball (1965); Scott's fit to balls on
 rubber, F = 1.9 E R^0.65 d^1.35 in mm, N and MPa (BS 903); Gent (1958) and Qi et al. (2003) for scale A. Sources: docs/physics.md.
@@ -47,18 +48,23 @@ BLOCK_MM, BLOCK_RADIUS_MM = 12.0, 30.0
 POISSONS_RATIO = 0.4999
 READINGS = (8, 10, 14, 17, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 87, 90)
 STATES = 49
+MODULUS = 100e3
+"""Of the blocks that are pressed [Pa]; what comes out is over it."""
 DIVISIONS = {"fast": 6.0, "balanced": 10.0, "reference": 16.0}
 """Edges across the tip's radius."""
 GROWTH, COARSEST = 0.35, 4e-3
 """Edge length gained per length away from the tip; the longest [m]."""
 SMOOTH, STICK = 0.0, "stick"
+FRICTIONS: dict[str, float | str] = {"smooth": SMOOTH, "sliding": 0.15, "sticking": STICK}
+"""Of tables. Without friction a soft block slips away under the tip until an element turns inside out; 0.15 comes through everywhere."""
 CORNER = 0.05e-3
 """Rounding of the cone's flat end [m]: a sharp one is a singularity that no mesh resolves, and no tip has."""
 FOOT_RADIUS, HOLE_RADIUS, HOLE_ROUNDING = 9e-3, 1.5e-3, 0.2e-3
 FOOT_LOADS = {"00": 3.92, "A": 9.81}
 """Dead weight on the stand [N]: 0.4 and 1.0 kg."""
-FOOT_TOLERANCE = 2e-3
-"""Of the search for a modulus, relative in the tip's force."""
+HOLE_DEPTH = 1.5e-3
+SINK_STEPS, LONGEST_MARCH, LONGEST_STEP, DEEPEST = 20, 200, 0.05e-3, 9e-3
+"""Of a press with foot: steps while the foot sinks in, and at most until it touches; the longest step and the whole way [m]."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,10 @@ SCALES = {
 }
 
 
+USED = {"00": "hertz", "A": "qi"}
+"""The relation that gelsim.materials takes."""
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """What a block carries at E = 1 Pa: depth [m] and force over modulus [m²], both (N,), from 0 on."""
@@ -132,21 +142,21 @@ def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "bal
     instrument = SCALES[scale]
     depth = instrument.depth(instrument.readings[0])
     sizes = _tip_sizes(instrument, fidelity)
-    press = _press(_block(friction, fidelity, depth=depth), rigid_profile(instrument.tip(3 * depth), sizes), sizes, 100e3)
+    press = _press(_block(friction, fidelity, depth), rigid_profile(instrument.tip(3 * depth), sizes), sizes)
     if len(press.approach) < 4:
         raise SolveError(f"durometer {scale}, friction {friction}: stopped at {press.approach[-1] * 1e3:.3g} mm, {press.message}")
-    return Curve(press.approach, press.force / 100e3)
+    return Curve(press.approach, press.force)
 
 
 def modulus(reading: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced", foot: bool = False) -> float:
     """Young's modulus [Pa] of the block that gives a reading.
 
     Raises:
-        MaterialError: The reading is outside the instrument's range.
+        MaterialError: The reading is outside the instrument's range, or the press did not come that far.
     """
     instrument = _instrument(scale, reading)
     if foot:
-        return _modulus_with_foot(instrument, reading, friction, fidelity)
+        return _modulus_with_foot(scale, reading, friction, fidelity)
     return instrument.spring(reading) / press_curve(scale, friction, fidelity).at(instrument.depth(reading))
 
 
@@ -203,18 +213,24 @@ def relations(value: float, scale: str) -> dict[str, float | None]:
 
 
 # ---------------------------------------------------------------------------------------------------------------- tables
-def compare(scale: str, fidelity: str = "balanced", readings: Sequence[float] | None = None, progress: Progress | None = None) -> list[Row]:
-    """Moduli [kPa] of readings by the presses, tip sliding and sticking, and by every relation; None where one has no value."""
+def compare(
+    scale: str, fidelity: str = "balanced", readings: Sequence[float] | None = None, progress: Progress | None = None, foot: bool = False
+) -> list[Row]:
+    """Moduli [kPa] of readings by the presses, for each of FRICTIONS, with `foot` each with it too, and by every relation.
+
+    None where one has no value.
+    """
     instrument = _instrument(scale, 50.0)
     readings = readings or [h for h in READINGS if instrument.readings[0] <= h <= instrument.readings[1]]
     rows = []
     for number, value in enumerate(readings):
         row: Row = {"reading": float(value)}
-        for name, friction in (("sliding", SMOOTH), ("sticking", STICK)):
-            try:
-                row[name] = modulus(value, scale, friction, fidelity)
-            except MaterialError:  # deeper than that press came
-                row[name] = None
+        for name, friction in FRICTIONS.items():
+            for footed in (False, True) if foot else (False,):
+                try:
+                    row["foot, " * footed + name] = modulus(value, scale, friction, fidelity, footed)
+                except MaterialError:  # deeper than that press came
+                    row["foot, " * footed + name] = None
         row |= relations(value, scale)
         rows.append({key: each if key == "reading" or each is None else each / 1e3 for key, each in row.items()})
         if progress:
@@ -225,8 +241,13 @@ def compare(scale: str, fidelity: str = "balanced", readings: Sequence[float] | 
 def summary(rows: Sequence[Row], scale: str) -> str:
     """The rows as a table for people."""
     names = [name for name in rows[0] if name != "reading"]
-    lines = [f"E [kPa] by Shore {scale}", "reading  " + "".join(f"{name:>10}" for name in names)]
-    lines += [f"{row['reading']:7g}  " + "".join(f"{'–' if row[n] is None else f'{row[n]:.4g}':>10}" for n in names) for row in rows]
+    lines = [f"E [kPa] by Shore {scale}", "reading  " + "".join(f"{name:>16}" for name in names)]
+    lines += [f"{row['reading']:7g}  " + "".join(f"{'–' if row[n] is None else f'{row[n]:.4g}':>16}" for n in names) for row in rows]
+    used = USED[scale]
+    for name in (name for name in names if name.removeprefix("foot, ") in FRICTIONS):
+        over = [100 * (row[name] / row[used] - 1) for row in rows if row[name] and row[used]]  # type: ignore[operator]
+        if over:
+            lines.append(f"{name}: {min(over):+.0f} to {max(over):+.0f} % of {used}, which gelsim uses")
     return "\n".join(lines)
 
 
@@ -236,13 +257,13 @@ def write(out: Path, rows: Sequence[Row], scale: str) -> None:
 
     out.mkdir(parents=True, exist_ok=True)
     write_csv(out / f"durometer-{scale}.csv", rows)
-    used = "hertz" if scale == "00" else "qi"
+    used = USED[scale]
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     for name in rows[0]:
         if name == "reading":
             continue
-        style = {"sliding": "o-", "sticking": "s-"}.get(name, "--")
+        style = {"smooth": "o-", "sliding": "v-", "sticking": "s-"}.get(name.removeprefix("foot, "), "--")
         known = [row for row in rows if row[name] is not None]
         left.semilogy([row["reading"] for row in known], [row[name] for row in known], style, label=name, ms=3)
         over = [(row["reading"], (row[name] or 0.0) / (row[used] or 1.0)) for row in known if row[used]]
@@ -265,16 +286,16 @@ def _instrument(scale: str, value: float) -> Durometer:
     return SCALES[scale]
 
 
-def _block(friction: float | str, fidelity: str, *, depth: float | None = None, force: float | None = None) -> Scene:
-    """The press to a depth [m] in STATES, or to a force [N] at once; its object stands for the tip, which no shape of a scene is."""
+def _block(friction: float | str, fidelity: str, depth: float, states: int = STATES) -> Scene:
+    """The press to a depth [m]; its object stands for the tip, which no shape of a scene is."""
     return Scene(
         gel=Gel(
             profile="flat", size_mm=(2 * BLOCK_RADIUS_MM, 2 * BLOCK_RADIUS_MM), thickness_mm=BLOCK_MM, shore_00=None,
-            youngs_modulus_kpa=100.0, poissons_ratio=POISSONS_RATIO,
+            youngs_modulus_kpa=MODULUS / 1e3, poissons_ratio=POISSONS_RATIO,
         ),
         object=Body(shape="hemisphere", radius_mm=1.19, rigid=True),
         contact=Contact(friction_coefficient=friction),
-        press=Press(depth_mm=depth and depth / MM, force_n=force, frames=2 if force else STATES),
+        press=Press(depth_mm=depth / MM, force_n=None, frames=states),
         fidelity=fidelity,
     )  # fmt: skip
 
@@ -298,22 +319,21 @@ def _tip_sizes(instrument: Durometer, fidelity: str, foot: bool = False) -> Call
 
 @dataclass(frozen=True, eq=False)
 class _Pressed:
-    """A press of the block: approaches [m] and forces [N] of its states, how it ended, and the last one's contact."""
+    """A press of the block at E = 1 Pa, state by state: approach [m], force over modulus [m²], and of that what the tip carries."""
 
     approach: Array
     force: Array
+    tip_force: Array
     message: str
-    place: Array
-    """r of the contact points [mm], (Q,)."""
-    upward: Array
-    """Their forces, up to a factor."""
-
-    def within(self, radius: float) -> float:
-        """What of the last force [N] acts nearer to the axis than `radius` [m]."""
-        return float(self.force[-1] * self.upward[self.place < radius / MM].sum() / self.upward.sum())
+    """Why it ended, if it is not whole."""
 
 
-def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], youngs_modulus: float) -> _Pressed:
+class _BoreEnough(Exception):
+    """Ends a march."""
+
+
+def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least_share: float = 0.0) -> _Pressed:
+    """Presses until the tip carries less than `least_share` of the whole; what touches nearer to the axis than the hole is the tip's."""
     from gelsim.fem import quiet_warp
 
     quiet_warp()
@@ -321,46 +341,66 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], young
     from gelsim.fem.quasistatic import run_press
 
     block = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes)
-    problem = PlanarProblem(scene, block, tip, ElasticMaterial.from_modulus(youngs_modulus, POISSONS_RATIO), None, None)
-    press = run_press(problem, throw=False)
+    problem = PlanarProblem(scene, block, tip, ElasticMaterial.from_modulus(MODULUS, POISSONS_RATIO), None, None)
     contact, solids = problem.contact, problem.solids
-    pressure = contact.pressure.numpy()
-    upward = np.where(pressure > 0, pressure * contact.normal.numpy()[:, 2], 0.0) * contact.rest_weight
-    place = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0] @ contact.shape_values.T
-    return _Pressed(press.approach, -press.force[:, 2], press.message, place.ravel(), upward)
+    states: list[tuple[float, float]] = []
+
+    def keep(*_: int) -> None:
+        pressure = contact.pressure.numpy()
+        upward = np.where(pressure > 0, pressure * contact.normal.numpy()[:, 2], 0.0) * contact.rest_weight
+        place = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0] @ contact.shape_values.T
+        force, whole = -problem.contact_force()[2] / MODULUS, upward.sum()
+        share = upward[place.ravel() < HOLE_RADIUS / MM].sum() / whole if whole else 1.0
+        states.append((force, share * force))
+        if share < least_share:
+            raise _BoreEnough
+
+    message = ""
+    try:
+        message = run_press(problem, progress=keep, throw=False).message
+    except _BoreEnough:
+        pass
+    assert scene.press.depth_mm is not None
+    approach = np.linspace(0.0, scene.press.depth_mm * MM, scene.press.frames)[: len(states)]
+    force, tip_force = np.array(states).T
+    return _Pressed(approach, force, tip_force, message)
 
 
-def _modulus_with_foot(instrument: Durometer, value: float, friction: float | str, fidelity: str) -> float:
-    """Secant search in log E for the block that carries the spring's force at the tip while the foot rests on it."""
-    depth, spring, load = instrument.depth(value), instrument.spring(value), FOOT_LOADS[instrument.scale]
+@lru_cache
+def _modulus_with_foot(scale: str, value: float, friction: float | str, fidelity: str) -> float:
+    """Forces scale with E. So one press of tip and foot tells it: at first touch the tip carries all; where its share has come down to the
+    spring's of the dead load, E is the load over the force that a block of 1 Pa carries there."""
+    instrument = SCALES[scale]
+    depth, spring, load = instrument.depth(value), instrument.spring(value), FOOT_LOADS[scale]
+    # As far as a flat round punch of the foot's size would sink into a half-space, and by how much a step.
+    guess = relations(value, scale)["hertz" if scale == "00" else "gent"]
+    assert guess is not None
+    sink = (load - spring) / (8 / 3 * guess * FOOT_RADIUS)
+    spacing = min(max(sink / SINK_STEPS, depth / LONGEST_MARCH), LONGEST_STEP)
+    frames = math.ceil(min(depth + 4 * sink, DEEPEST) / spacing) + 1
     sizes = _tip_sizes(instrument, fidelity, foot=True)
-    bend = HOLE_ROUNDING
-    outline = [
-        *instrument.tip(depth + 2 * bend),
-        Segment((instrument.shaft_radius, depth + 2 * bend), (HOLE_RADIUS, depth + 2 * bend)),
-        Segment((HOLE_RADIUS, depth + 2 * bend), (HOLE_RADIUS, depth + bend)),
-        Segment((HOLE_RADIUS, depth + bend), (HOLE_RADIUS + bend, depth), bend, (HOLE_RADIUS + bend, depth + bend)),
+    tip = rigid_profile(_tip_and_foot(instrument, depth), sizes)
+    scene = _block(friction, fidelity, spacing * (frames - 1), frames)
+    press = _press(scene, tip, sizes, spring / load)
+    share = press.tip_force[1:] / press.force[1:]
+    if share[-1] > spring / load:
+        raise MaterialError(
+            f"durometer with foot at {value:g} Shore {scale}, friction {friction}: the press ended at {press.approach[-1] * 1e3:.3g} mm, "
+            f"the tip bearing {share[-1]:.3g} of all where the reading asks for {spring / load:.3g}: {press.message}"
+        )
+    last = slice(-2, None)
+    return load / float(np.interp(-spring / load, -share[last], press.force[last]))
+
+
+def _tip_and_foot(instrument: Durometer, depth: float) -> list[Segment]:
+    """Profile of the tip, `depth` [m] out of the foot's face, of the hole about it, deeper than any bulge comes, and of the foot."""
+    edge, bend = depth + HOLE_ROUNDING, HOLE_ROUNDING
+    top = edge + HOLE_DEPTH
+    return [
+        *instrument.tip(top),
+        Segment((instrument.shaft_radius, top), (HOLE_RADIUS, top)),
+        Segment((HOLE_RADIUS, top), (HOLE_RADIUS, edge)),
+        Segment((HOLE_RADIUS, edge), (HOLE_RADIUS + bend, depth), bend, (HOLE_RADIUS + bend, edge)),
         Segment((HOLE_RADIUS + bend, depth), (FOOT_RADIUS, depth)),
         Segment((FOOT_RADIUS, depth), (FOOT_RADIUS, depth + 5e-3)),
     ]
-
-    tip = rigid_profile(outline, sizes)
-
-    def tip_force(youngs_modulus: float) -> float:
-        press = _press(_block(friction, fidelity, force=load), tip, sizes, youngs_modulus)
-        if abs(press.force[-1] / load - 1) > 0.01:
-            said = f"stopped with {press.force[-1]:.3g} of {load:g} N, {press.message}"
-            raise SolveError(f"durometer with foot, E = {youngs_modulus / 1e3:.4g} kPa: {said}")
-        return press.within(HOLE_RADIUS)
-
-    guess = spring / press_curve(instrument.scale, friction, fidelity).at(depth)
-    points = [(math.log(guess), math.log(tip_force(guess) / spring))]
-    points.append((points[0][0] - points[0][1], 0.0))
-    for _ in range(8):
-        log_modulus = points[-1][0]
-        points[-1] = (log_modulus, math.log(tip_force(math.exp(log_modulus)) / spring))
-        if abs(points[-1][1]) < FOOT_TOLERANCE:
-            return math.exp(log_modulus)
-        (a, fa), (b, fb) = points[-2:]
-        points.append((b - fb * (b - a) / (fb - fa), 0.0))
-    raise SolveError(f"durometer with foot at {value:g} Shore {instrument.scale}: the search for a modulus did not settle")

@@ -42,13 +42,43 @@ def test_a_sticking_tip_needs_more_force_and_reads_softer_moduli() -> None:
     assert materials.modulus_from_shore_00(40.0) == pytest.approx(sticks, rel=0.2)
 
 
+def test_a_foot_that_hardly_rests_on_the_block_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 00-70 the spring gives 0.839 N; of a dead load 1 % above that the foot bears 1 %."""
+    spring = durometer.SCALES["00"].spring(70.0)
+    without = durometer.modulus(70.0, friction=durometer.SMOOTH, fidelity="fast")
+    monkeypatch.setitem(durometer.FOOT_LOADS, "00", 1.01 * spring)
+    durometer._modulus_with_foot.cache_clear()
+    # To first order the tip bears what it did; a step of the march, a two-hundredth of the depth, is 0.75 % of d^1.5, and is interpolated.
+    assert durometer.modulus(70.0, friction=durometer.SMOOTH, fidelity="fast", foot=True) == pytest.approx(without, rel=0.01)
+    # Planted: a foot that bears four fifths of the load takes some of the dent from the tip (found: 12 %).
+    monkeypatch.setitem(durometer.FOOT_LOADS, "00", 3.92)
+    durometer._modulus_with_foot.cache_clear()
+    assert durometer.modulus(70.0, friction=durometer.SMOOTH, fidelity="fast", foot=True) < 0.95 * without
+
+
+def test_with_the_foot_hertz_is_right_within_a_tenth_whatever_the_friction() -> None:
+    """What docs/physics.md says of the label; 00-40, where the block bulges into the hole."""
+    for friction in (durometer.SMOOTH, durometer.STICK):
+        assert durometer.modulus(40.0, friction=friction, fidelity="fast", foot=True) == pytest.approx(
+            materials.modulus_from_shore_00(40.0), rel=0.1
+        )
+
+
 def test_there_and_back() -> None:
     assert durometer.reading(durometer.modulus(33.0, fidelity="fast"), fidelity="fast") == pytest.approx(33.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
     "flags",
-    [["--shore", "101"], ["--shore", "3"], ["--modulus-kpa", "0.5"], ["--modulus-kpa", "nan"], ["--modulus-kpa", "50", "--foot"]],
+    [
+        ["--shore", "101"],
+        ["--shore", "3"],
+        ["--modulus-kpa", "0.5"],
+        ["--modulus-kpa", "nan"],
+        ["--modulus-kpa", "50", "--foot"],
+        ["--shore", "30", "--friction", "some"],
+        ["--shore", "30", "--friction", "nan"],
+    ],
 )
 def test_what_no_durometer_reads_is_one_line(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["durometer", "--fidelity", "fast", "--friction", "0", *flags]) == 2
