@@ -41,6 +41,9 @@ class Parser(argparse.ArgumentParser):
         if rest:
             known = [flag for action in options.parser._actions for flag in action.option_strings]
             name = rest[0].split("=")[0]
+            if not name.startswith("-"):
+                scene = f"; did you mean --scene {name}?" if "--scene" in known else ""
+                raise self.wrong(f"{name!r} belongs to no flag{scene}")
             raise self.wrong(f"unknown flag {name!r}{self.hint(name, known)}")
         return options
 

@@ -84,6 +84,7 @@ def test_every_field_is_a_flag_with_help() -> None:
 
 
 BAD = {
+    "a file in place of a flag": (["press.toml"], "'press.toml' belongs to no flag; did you mean --scene press.toml?"),
     "unknown flag": (["--shap", "flat"], "unknown flag '--shap'; did you mean '--shape'"),
     "unknown shape": (["--shape", "cylindre"], "did you mean 'cylinder'"),
     "negative radius": (["--radius-mm", "-5"], "object.radius_mm = -5 mm: allowed is"),
