@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
-from gelsim.fem.elements import tri6_gradient, triangle_quadrature
+from gelsim.fem.elements import triangle_quadrature
 from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, MEMBRANE_ERROR_PER_KINK, stress_jump, surface_kink
 from gelsim.fem.problem import KPA, MM, PressProblem
 from gelsim.fem.self_contact import closing_gap
+from gelsim.fem.touching import touching_area
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
 
@@ -130,15 +131,14 @@ def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
     Projected, it is π a² of a round contact of radius a; along the curved membrane a ball of R = 5 mm at 1 mm would show 10 % more.
     """
     contact, solids = problem.contact, problem.solids
-    bary, rule = triangle_quadrature(contact.points)
     x = solids.rest + solids.displacement.numpy()
-    tangents = np.einsum("fni,qnj->fqij", x[contact.gel_faces], tri6_gradient(bary))
-    seen = np.abs(np.cross(tangents[..., 0], tangents[..., 1])[..., 2]) * rule
-    pressure = contact.pressure.numpy()
-    area = seen.ravel()[pressure > 0].sum() * problem.copies / MM**2
-    hats = _hats(bary)
     weight = contact.rest_weight.reshape(len(contact.gel_faces), -1)
-    top = np.einsum("fq,qa->fa", weight * pressure.reshape(weight.shape), hats)
+    pressure = np.asarray(contact.pressure.numpy(), np.float64).reshape(weight.shape)
+    # augmentation leaves half the penalty's smoothing as overlap
+    opening = contact.gap.numpy().reshape(weight.shape) + problem.law.smoothing / 2
+    area = touching_area(x, contact.gel_faces, opening, pressure) * problem.copies / MM**2
+    hats = _hats(triangle_quadrature(contact.points)[0])
+    top = np.einsum("fq,qa->fa", weight * pressure, hats)
     bottom = np.einsum("fq,qa->fa", weight, hats)
     total = np.bincount(contact.gel_faces.ravel(), bottom.ravel(), solids.node_count)
     mean = np.bincount(contact.gel_faces.ravel(), top.ravel(), solids.node_count) / np.where(total > 0, total, 1.0)
