@@ -25,7 +25,7 @@ from gelsim.sizing import OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField
 from gelsim.solids import Array, Segment, Sizes, edge_middles, refine
 from gelsim.units import MM
 
-FINER = {"fast": 1.5, "balanced": 1.5, "reference": 3.0}
+FINER = {"fast": 1.5, "balanced": 1.5, "reference": 2.1}
 """Edges of a solid's mesh over those of a profile. `reference` wants the contact's radius to 1 % (docs/validation.md, Accuracy)."""
 _MARGIN = 0.1 * MM
 """Beyond the overlap, as fine as in it."""

@@ -58,7 +58,7 @@ class MeshSizes:
 SIZES = {
     "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM),
     "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM),
-    "reference": MeshSizes(10.0, 0.12 * MM, 0.9 * MM, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM),
+    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM),
 }
 
 

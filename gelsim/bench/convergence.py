@@ -17,7 +17,7 @@ from gelsim.bench.presses import ball, hemisphere
 from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.scene_file import build_scene
 
-FINEST = 6.0
+FINEST = 4.0
 PROFILE_RADIUS_MM = 8.0
 _DISC_MM = 12.5
 _PLACES = np.linspace(0.0, PROFILE_RADIUS_MM, 401)
