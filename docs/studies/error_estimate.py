@@ -35,8 +35,8 @@ Layer = dict[str, Any]
 LEVELS = ("fast", "balanced", "reference", "truth")
 REFERENCE = sizing.SIZES["reference"]
 TRUTH = replace(
-    REFERENCE, divisions=1.4 * REFERENCE.divisions, finest=REFERENCE.finest / 1.4, coarsest_contact=REFERENCE.coarsest_contact / 1.4, growth=0.6,
-    rim=REFERENCE.rim / 1.4, gel_far=2.5e-3, object_far=3.5e-3,
+    REFERENCE, divisions=1.4 * REFERENCE.divisions, finest=REFERENCE.finest / 1.4, rim=REFERENCE.rim / 1.4,
+    coarsest_contact=REFERENCE.coarsest_contact / 1.4, growth=0.6, gel_far=2.5e-3, object_far=3.5e-3,
 )  # fmt: skip
 
 
