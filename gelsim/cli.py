@@ -218,7 +218,11 @@ def _parser() -> Parser:
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
     inspect.add_argument("--out", metavar="FILE.png", help="where to draw it (default: not drawn)")
     inspect.add_argument(
-        "--html", metavar="FILE.html", help="of a press: one page with both bodies in 3D, pictures and force; works offline"
+        "--html",
+        nargs="?",
+        const="",
+        metavar="FILE.html",
+        help="of a press: one page with both bodies in 3D, pictures and force; works offline (default: page.html beside press.npz)",
     )
     inspect.add_argument("--vtu", metavar="DIR", help="of a press: surfaces by state for ParaView, press.pvd")
     inspect.add_argument("--mesh-unit", default="mm", choices=("mm", "cm", "m", "in"), help="unit of a mesh file (default: mm)")
@@ -299,6 +303,9 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
         raise SceneError("inspect: give a path, or --sensor NAME")
     sensor = build_scene({"sensor": {"preset": options.sensor}}) if options.sensor else None
     facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit) if sensor is None else inspection.inspect_sensor(sensor)
+    if options.html == "":
+        given = Path(options.path or ".")
+        options.html = str((given if given.is_dir() else given.parent) / "page.html")
     for flag in ("out", "html", "vtu"):
         given = getattr(options, flag)
         if given and Path(given).exists() and not options.force:

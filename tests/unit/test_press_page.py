@@ -50,6 +50,9 @@ def test_page_is_whole_and_asks_for_nothing(tmp_path: Path, result: Path, capsys
     # plotly writes a slash so; the states' pictures, and the one that is shown at first.
     assert text.count("data:image\\u002fpng;base64") == states + 1
     assert cli.main(["inspect", str(result), "--html", str(page)]) == 2
+    (tmp_path / "press.npz").write_bytes((result / "press.npz").read_bytes())
+    page.unlink()
+    assert cli.main(["inspect", str(tmp_path / "press.npz"), "--html"]) == 0 and page.is_file()
     assert cli.main(["inspect", "--sensor", "digit", "--html", str(tmp_path / "other.html")]) == 2
     assert cli.main(["inspect", str(tmp_path / "nothing"), "--vtu", str(tmp_path / "vtu")]) == 2
     assert not (tmp_path / "other.html").exists() and not (tmp_path / "vtu").exists()
