@@ -120,6 +120,8 @@ def test_coat_is_reciprocal_and_mitsubas(mi, rng, coating):
     there, back = reflect(eye, light) / light[2], reflect(light, eye) / eye[2]
     # float32, some forty operations.
     assert np.allclose(there, back, rtol=1e-5)
+    # Planted: the cosine at the light left in.
+    assert not np.allclose(there * light[2], back * eye[2], rtol=1e-5)
     bsdf = mi.load_dict(native(mi, coating_dict(scene)))
     si = mi.SurfaceInteraction3f()
     si.wi, si.sh_frame = mi.Vector3f(eye), mi.Frame3f(mi.Vector3f(0, 0, 1))
@@ -156,6 +158,8 @@ def test_no_coat_returns_more_than_it_gets(mi, coating):
     mean = np.mean(value * np.pi / light[2])
     expected = (1 - coating.specular) + coating.specular * flake_albedo(coating.roughness)
     assert mean == pytest.approx(expected, abs=0.01)
+    # Planted: 3 % more than there is.
+    assert 1.03 * mean != pytest.approx(expected, abs=0.01)
 
 
 # ---- window ----
