@@ -9,8 +9,8 @@ half their distance. Area is read
    at t = 0. Of a round contact, whose φ grows with r, and of a long one, A is such a parabola (Steiner's formula for parallel curves);
 3. from the pressure within: it vanishes like √distance, so A(p > t) is smooth in t². A parabola in t² is read at t = 0.
 
-The mean is kept between the area of the wholly loaded faces and that of all touched ones. Where pressure rises toward the end, as at a
-sharp rim, it does not vanish there, and points are counted.
+The second and third are kept within a quarter of the partly loaded faces' area from the first, more than points can be wrong by. Where
+pressure rises toward the end, as at a sharp rim, it does not vanish there, and points are counted.
 
 Left out: contact that ends on a face without loaded points, beside one that has some; places of ends, as all that is
 told is one area of the body.
@@ -38,6 +38,8 @@ PRESSURES = np.sqrt(np.linspace(0.15**2, 0.7**2, 8))
 _TOP = 0.95
 _WIDEST = 9.0
 """Levels of the gap are used as far as their area is so many times that of the loaded points: far away nothing is a parabola."""
+_FARTHEST = 0.25
+"""Share of the partly loaded faces' area by which a reading may differ from the loaded points."""
 _FEWEST = 4
 """Levels of a fit of three numbers."""
 
@@ -65,9 +67,9 @@ def touching_area(places: Array, faces: NDArray[np.int32], gap: Array, pressure:
     part = touched & ~full
     if not part.any() or _rises(faces, full, pressure):
         return counted
-    area = seen.sum(axis=1)
     readings = [counted, *_by_gap(nodes, bary, gap, loaded, counted), *_by_pressure(nodes, bary, pressure)]
-    return float(np.clip(np.mean(readings), area[full].sum(), area[touched].sum()))
+    away = _FARTHEST * float(seen[part].sum())
+    return float(np.mean(np.clip(readings, counted - away, counted + away)))
 
 
 def _rises(faces: NDArray[np.int32], full: NDArray[np.bool_], pressure: Array) -> bool:
