@@ -7,6 +7,10 @@ The potential of Sussman and Bathe (1987), perturbed Lagrangian in the pressure 
 with quadratic u and continuous linear p. ∂Π/∂p = 0 gives p = κ Π_h(J - 1). Both solids share one numbering, one launch and one matrix;
 contact (contact.py) is the only coupling between them.
 
+p keeps volume in the mean around a vertex, not at every point: where coarse tets are crushed, points in them empty, and the body folds
+where the solid would not (Auricchio et al. 2010). `hold_volume` gives a part κ' of κ to the points, + κ'/2 (J - 1)² and κ - κ' in the last
+term: the same law, in stiffer tets.
+
 Solver units are mm, kPa and mN (as kPa·mm²): they keep the two kinds of unknowns within a few orders of magnitude of each other.
 
 The pressure is continuous within a material and jumps between two (`split_pressures`): a tet's row of nodes is its ten, then the four
@@ -86,18 +90,19 @@ def element_kernels(points: int, family: str):
 @lru_cache(maxsize=4)
 def _cubic_kernels(points: int):
     rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
-    per_point = wp.types.matrix(shape=(points, 5), dtype=wp.float64)
+    per_point = wp.types.matrix(shape=(points, 6), dtype=wp.float64)
     Q = wp.constant(points)
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
     def residual(
         tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
         gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
-        law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64),
+        law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), held: wp.array(dtype=wp.float64),
         force: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64), energy: wp.array(dtype=wp.float64),
         min_jacobian: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         t = wp.tid()
+        half = wp.float64(0.5)
         smallest = wp.float64(1.0e30)
         stored = wp.float64(0.0)
         for q in range(Q):
@@ -117,8 +122,10 @@ def _cubic_kernels(points: int):
                 scale = wp.pow(j, wp.float64(-2.0) / wp.float64(3.0))
                 excess = isochoric_excess(h, j)
                 i1 = wp.ddot(f, f)
-                stress = (wp.float64(2.0) * law_slope(law[t], excess) * scale) * (f - (i1 / (wp.float64(3.0) * j)) * cof) + p * cof
-                stored += w * (law_energy(law[t], excess) + p * p / (wp.float64(2.0) * kappa[t]))
+                stress = (wp.float64(2.0) * law_slope(law[t], excess) * scale) * (f - (i1 / (wp.float64(3.0) * j)) * cof) + (
+                    p + held[t] * dv
+                ) * cof
+                stored += w * (law_energy(law[t], excess) + p * p / (wp.float64(2.0) * kappa[t]) + half * held[t] * dv * dv)
                 for a in range(10):
                     wp.atomic_add(force, tets[t, a], w * (stress * gradients[t, q, a]))
                 for b in range(4):
@@ -130,7 +137,8 @@ def _cubic_kernels(points: int):
     def tangent(
         tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
         gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
-        law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), pattern: PairPattern, values: wp.array(dtype=wp.float64),
+        law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), held: wp.array(dtype=wp.float64),
+        pattern: PairPattern, values: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         t = wp.tid()
         # per point and node: f = F G_a, alpha = F⁻ᵀ G_a; P̂ G_a follows from both
@@ -154,8 +162,9 @@ def _cubic_kernels(points: int):
             scalars[q, 0] = w * wp.float64(2.0) * law_slope(law[t], excess) * scale  # c
             scalars[q, 1] = w * wp.float64(4.0) * law_curvature(law[t], excess) * scale * scale  # weight of P̂ ⊗ P̂
             scalars[q, 2] = wp.ddot(f, f) * third
-            scalars[q, 3] = w * p * j
+            scalars[q, 3] = w * (p + held[t] * (j - wp.float64(1.0))) * j
             scalars[q, 4] = w * j
+            scalars[q, 5] = w * held[t] * j * j
             for a in range(10):
                 g = gradients[t, q, a]
                 fa = f * g
@@ -182,7 +191,7 @@ def _cubic_kernels(points: int):
                     outer_ab = wp.outer(aa, ab)
                     block += wp.diag(wp.vec3d(d, d, d))
                     block += wp.outer((-two * slope) * aa, fb) + wp.outer((-two * slope) * fa, ab)
-                    block += (two * i1 * slope + pj) * outer_ab + (slope * i1 - pj) * wp.transpose(outer_ab)
+                    block += (two * i1 * slope + pj + scalars[q, 5]) * outer_ab + (slope * i1 - pj) * wp.transpose(outer_ab)
                     if scalars[q, 1] != wp.float64(0.0):
                         block += scalars[q, 1] * wp.outer(fa - i1 * aa, fb - i1 * ab)
                     wj = scalars[q, 4]
@@ -208,11 +217,12 @@ def _ogden_kernels(points: int):
     def ogden_residual(
         tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
         gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
-        law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64),
+        law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64), held: wp.array(dtype=wp.float64),
         force: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64), energy: wp.array(dtype=wp.float64),
         min_jacobian: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         t = wp.tid()
+        half = wp.float64(0.5)
         smallest = wp.float64(1.0e30)
         stored = wp.float64(0.0)
         for q in range(Q):
@@ -234,8 +244,8 @@ def _ogden_kernels(points: int):
                 one = wp.float64(1.0)
                 # Σ β/λ n ⊗ N = F Σ β/λ² N ⊗ N, as λ n = F N
                 second = wp.diag(wp.vec3d(beta[0] / (one + excess[0]), beta[1] / (one + excess[1]), beta[2] / (one + excess[2])))
-                stress = f * (v * second * wp.transpose(v)) + p * cofactor(f)
-                stored += w * (ogden_energy(law[t], iso) + p * p / (wp.float64(2.0) * kappa[t]))
+                stress = f * (v * second * wp.transpose(v)) + (p + held[t] * dv) * cofactor(f)
+                stored += w * (ogden_energy(law[t], iso) + p * p / (wp.float64(2.0) * kappa[t]) + half * held[t] * dv * dv)
                 for a in range(10):
                     wp.atomic_add(force, tets[t, a], w * (stress * gradients[t, q, a]))
                 for b in range(4):
@@ -247,7 +257,8 @@ def _ogden_kernels(points: int):
     def ogden_tangent(
         tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
         gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
-        law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64), pattern: PairPattern, values: wp.array(dtype=wp.float64),
+        law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64), held: wp.array(dtype=wp.float64),
+        pattern: PairPattern, values: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         t = wp.tid()
         half = wp.float64(0.5)
@@ -273,17 +284,19 @@ def _ogden_kernels(points: int):
             p = wp.float64(0.0)
             for b in range(4):
                 p += shape[q, b] * pressure[tets[t, 10 + b]]
+            p += held[t] * (j - wp.float64(1.0))
+            jj = held[t] * j * j
             w = weights[t, q]
             for k in range(3):
                 stretches[q, k] = stretch[k]
-                scalars[q, k] = w * (slope[k, k] - beta[k]) / (stretch[k] * stretch[k])
+                scalars[q, k] = w * (slope[k, k] - beta[k] + jj) / (stretch[k] * stretch[k])
                 m = k // 2
                 n = 1 + (k + 1) // 2
                 product = stretch[m] * stretch[n]
                 quotient = ogden_quotient(law[t], iso[m], iso[n]) / wp.sqrt(product)
                 s = half * ((wp.float64(1.0) / stretch[m] + wp.float64(1.0) / stretch[n]) * quotient - (beta[m] + beta[n]) / product)
                 total = (beta[m] / stretch[m] + beta[n] / stretch[n]) / (stretch[m] + stretch[n])
-                scalars[q, 3 + k] = w * (slope[m, n] + p * j) / product
+                scalars[q, 3 + k] = w * (slope[m, n] + p * j + jj) / product
                 scalars[q, 6 + k] = w * half * (s + total)
                 scalars[q, 9 + k] = w * (half * (s - total) - p * j / product)
             scalars[q, 12] = w * j
@@ -399,6 +412,7 @@ class Solids:
             array(quadrature.weights, wp.float64), array(quadrature.pressure_shape, wp.float64),
             array(law, OgdenConstants if ogden else wp.vec3d), array(kappa, wp.float64),
         ]  # fmt: skip
+        self._held = [wp.zeros(len(tets), dtype=wp.float64, device=device)]
         self._memory: Memory | None = None
         self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
         self.element_jacobian = wp.zeros(len(tets), dtype=wp.float64, device=device)
@@ -425,6 +439,7 @@ class Solids:
         inputs[0] = wp.array(cells.reshape(-1, 14), dtype=wp.int32, device=joint.device)
         inputs[_SHAPE] = first._inputs[_SHAPE]
         joint._inputs = inputs
+        joint._held = [join_arrays([s._held[0] for s in solids])]
         joint.displacement, joint.pressure = inputs[_DISPLACEMENT], inputs[_PRESSURE]
         joint.rest_positions = join_arrays([s.rest_positions for s in solids])
         joint._element_energy, joint.element_jacobian = (wp.zeros(len(joint.tets), dtype=wp.float64, device=joint.device) for _ in range(2))
@@ -457,7 +472,7 @@ class Solids:
     def add_internal_force(self, force: wp.array, volume: wp.array) -> None:
         """Adds ∂Π/∂u and ∂Π/∂p; each element's energy and smallest det F are kept."""
         outputs = [force, volume, self._element_energy, self.element_jacobian]
-        wp.launch(self._residual, len(self.tets), [*self._inputs, *outputs], device=self.device)
+        wp.launch(self._residual, len(self.tets), [*self._inputs, *self._held, *outputs], device=self.device)
         if self._memory is not None:
             self._memory.add_force(self.displacement, force)
 
@@ -466,9 +481,15 @@ class Solids:
         return float(self._element_energy.numpy().sum())
 
     def add_tangent(self, pairs: PairPattern, values: wp.array) -> None:
-        wp.launch(self._tangent, len(self.tets), [*self._inputs, pairs, values], device=self.device)
+        wp.launch(self._tangent, len(self.tets), [*self._inputs, *self._held, pairs, values], device=self.device)
         if self._memory is not None:
             self._memory.add_tangent(pairs, values)
+
+    def hold_volume(self, held: Array) -> None:
+        """Takes κ' [kPa] of each tet (T,) from its κ, and to its points. Before anything is solved."""
+        kappa = self._inputs[7]
+        kappa.assign(kappa.numpy() - held)
+        self._held[0].assign(held)
 
     def remember(self, shares: Array, times: Array) -> Memory:
         """Makes the solids viscoelastic, of Prony shares and times [s] (T, K); for what steps of time do then, see `Memory`."""

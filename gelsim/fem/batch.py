@@ -28,6 +28,7 @@ from gelsim.fem.linear import BatchedSystem, single_threaded_blas
 from gelsim.fem.newton import (
     FREEZE_AFTER,
     GEOMETRIC_BELOW,
+    LARGEST_GROWTH,
     LINE_SEARCH_DROP,
     MAX_LINE_SEARCH,
     SMALLEST_JACOBIAN,
@@ -261,7 +262,7 @@ class _Batch:
             self._solve(poor)
         freeze = self.iteration >= FREEZE_AFTER
         self.contact.overhang.assign(np.where(freeze, FROZEN, OVERHANG))
-        after = self._line_search(active)
+        after = self._line_search(active, residual)
         self.contact.overhang.fill_(OVERHANG)
         self.iteration[active] += 1
         return after
@@ -338,9 +339,10 @@ class _Batch:
         self.contact.add_stiffness(self.x, self._pairs, self.values)
         self.solids.add_tangent(self._pairs, self.values)
 
-    def _line_search(self, active: Mask) -> _Residual:
+    def _line_search(self, active: Mask, before: _Residual) -> _Residual:
         """newton.Newton._line_search, scene by scene: each is moved to where the work of the unbalanced forces has shrunk."""
-        solids = self.solids
+        solids, pairing = self.solids, self.contact.pairing()
+        largest_size = np.where(self.iteration >= FREEZE_AFTER, LARGEST_GROWTH * before.size, np.inf)
         wp.copy(self.start_u, solids.displacement)
         wp.copy(self.start_p, solids.pressure)
         slope = -self._work()
@@ -350,9 +352,11 @@ class _Batch:
         low_slope, high_slope = slope.copy(), np.zeros(self.count)
         for trial in range(MAX_LINE_SEARCH):
             self._move(fraction)
+            self.contact.set_pairing(pairing)
             residual = self.residual()
             now = -self._work()
-            bad = (residual.min_jacobian <= SMALLEST_JACOBIAN) | ~residual.finite
+            impossible = (residual.min_jacobian <= SMALLEST_JACOBIAN) | ~residual.finite
+            bad = impossible | ~(residual.size <= largest_size)
             last = trial == MAX_LINE_SEARCH - 1
             for scene in np.flatnonzero(searching):
                 s, f = slope[scene], fraction[scene]
@@ -377,10 +381,11 @@ class _Batch:
                     fraction[scene] = low[scene] + (high[scene] - low[scene]) * min(max(share, 0.05), 0.95)
             if not searching.any():
                 break
-        lost = active & (bad | ~np.isfinite(slope))
+        lost = active & (impossible | ~np.isfinite(slope))
         if lost.any():
             self.inverted |= lost
             self._move(np.where(lost, 0.0, fraction))
+            self.contact.set_pairing(pairing)
         return residual
 
     def _work(self) -> Array:

@@ -337,6 +337,14 @@ class SurfaceContact:
         shape = sp.csr_matrix((values.ravel(), (rows, corners.ravel())), shape=(len(points), len(self.vertices)))
         return shape, self._projections[0][1]
 
+    def pairing(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Who touches where, as `update` left it and goes on from: kept faces depend on it."""
+        return wp.clone(self.face), wp.clone(self.xi), wp.clone(self.gap)
+
+    def set_pairing(self, pairing: tuple[wp.array, wp.array, wp.array]) -> None:
+        for array, kept in zip((self.face, self.xi, self.gap), pairing, strict=True):
+            wp.copy(array, kept)
+
     def save(self) -> tuple[Array, Array, Array]:
         """Friction history and multipliers, to return to when a step is halved."""
         return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy(), self.multipliers

@@ -27,6 +27,10 @@ class Layout:
 # Scenes are queried in one tree of triangles, this far from each other [mm].
 SPACING = wp.constant(200.0)
 
+# Within which a point keeps its face [mm]; where points keep it for ever, soft penalties of high pressures leave gaps of tenths.
+NEAR = wp.constant(wp.float64(0.1))
+FROZEN_NEAR = wp.constant(wp.float64(1.0))
+
 
 @wp.func
 def apart(scene: wp.int32) -> wp.vec3f:
@@ -159,12 +163,15 @@ def closest_points(
     f = face[i]
     xi = xi_out[i]
     kept = bool(False)
-    if f >= 0 and wp.abs(gap[i]) < wp.float64(0.1):
+    near = NEAR
+    if overhang[scene_of(layout, i)] > wp.float64(1.0):
+        near = FROZEN_NEAR
+    if f >= 0 and wp.abs(gap[i]) < near:
         for _ in range(6):
             xi = step_to_foot(position, x, base, master, f, xi)
         inside = wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
         if inside > -overhang[scene_of(layout, i)]:
-            kept = wp.length(position - on_face(x, base, master, f, tri6(xi))) < wp.float64(0.1)
+            kept = wp.length(position - on_face(x, base, master, f, tri6(xi))) < near
     clamped = bool(False)
     if not kept:
         query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position) + apart(scene_of(layout, i)), reach)

@@ -105,6 +105,11 @@ class PardisoSolver:
         self._values = np.ascontiguousarray(values, self._dtype)
         self._call(22)
 
+    @property
+    def negative(self) -> int | None:
+        """Negative eigenvalues of the matrix factorised last (Sylvester's law: those of D)."""
+        return int(self._iparm[22])
+
     def solve(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
         x = self._call(33, b)
         assert x is not None
@@ -125,7 +130,7 @@ class PardisoSolver:
 class SuperLUSolver:
     """The same through SciPy, for machines without MKL."""
 
-    name, single = "SciPy SuperLU", False
+    name, single, negative = "SciPy SuperLU", False, None
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32], values: NDArray[np.float64]) -> None:
         self._indptr, self._indices = indptr, indices
@@ -145,6 +150,8 @@ class SuperLUSolver:
 class SymmetricSystem:
     """Solves (K + B_tᵀ B_n) x = b with a direct factorisation of the symmetric K and, for the low-rank unsymmetric rest, GMRES.
 
+    Args:
+        positive: Unknowns in which K of an equilibrium that bodies rest in is positive (displacements), for `exact` steps.
     Attributes: `factorisations` and `solves` done so far.
     """
 
@@ -159,8 +166,11 @@ class SymmetricSystem:
     # took another path from there.
     POOR = 1e-5
     REFINEMENTS = 3
+    # Shares of their diagonal by which displacements are made stiffer where the matrix is not that of a minimum, one after the other.
+    SHIFTS = (1e-3, 8e-3, 0.06, 0.5)
 
-    def __init__(self) -> None:
+    def __init__(self, positive: NDArray[np.bool_] | None = None) -> None:
+        self.positive = positive
         self.direct = make_solver(single=_single.get())
         self.factorisations = self.solves = 0
         self.factored = self._fresh = self._worn = False
@@ -233,7 +243,26 @@ class SymmetricSystem:
             if not failed:
                 return x
         self.factorise(self._values)
+        if exact:
+            self._convexify()
         return self.solve(b, coupling)
+
+    def _convexify(self) -> None:
+        """Shifts the diagonal of the `positive` unknowns until the matrix has as many negative eigenvalues as there are others.
+
+        A matrix with more of them is one of a saddle, where a body is about to buckle or to fold: its step does not lead to an equilibrium
+        that a press could come to rest in. (Wächter and Biegler 2006, §3.1, correct the inertia in the same way.)
+        """
+        if self.positive is None or self.direct.negative is None:
+            return
+        others = int((~self.positive).sum())
+        values, diagonal = self._values, self._pattern[1][:-1][self.positive]
+        for share in self.SHIFTS:
+            if self.direct.negative <= others:
+                return
+            shifted = values.copy()
+            shifted[diagonal] += share * np.abs(values[diagonal])
+            self.factorise(shifted)
 
     def solve(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""

@@ -1,9 +1,10 @@
 """Newton's method on the mixed equations of `Solids` with contact: residual, matrix, step, and why it stopped.
 
 One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
-(linear.py). Contact that opens and closes makes full steps
-cycle: a line search on the work of the unbalanced forces along the step cuts them where they overshoot. Converged means: forces balance to
-`tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
+(linear.py). Contact that opens and closes makes full steps cycle: a line search on the work of the unbalanced forces along the step cuts
+them where they overshoot. Where that is not enough, points keep their faces, steps are exact, may not make the residual grow, and lead to a
+minimum of the energy, not to a saddle: where a body folds or slips off an edge, that is the way down (`SymmetricSystem`). Converged means:
+forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
 
 from __future__ import annotations
 
@@ -26,6 +27,7 @@ FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
 MAX_LINE_SEARCH = 8
 LINE_SEARCH_DROP = 0.8  # the slope along the step must shrink to this share
 SMALLEST_JACOBIAN = 0.05
+LARGEST_GROWTH = 3.0  # of the residual by an exact step: a nearly singular matrix leads out of sight
 GEOMETRIC_BELOW = 0.5  # imbalance under which contact pressures are near enough to trust their geometric stiffness
 Array = NDArray[np.float64]
 
@@ -50,6 +52,14 @@ class Residual:
     """Largest error of a vertex's volume equation, as a strain."""
     min_jacobian: float
 
+    @property
+    def size(self) -> float:
+        return max(self.imbalance, self.volume_error)
+
+    @property
+    def possible(self) -> bool:
+        return bool(self.min_jacobian > SMALLEST_JACOBIAN and np.isfinite(self.equations).all())
+
 
 @dataclass
 class NewtonReport:
@@ -65,10 +75,10 @@ class Newton:
 
     def __init__(self, solids: Solids, contact: SurfaceContact, options: NewtonOptions) -> None:
         self.solids, self.contact, self.options = solids, contact, options
-        self.system = SymmetricSystem()
         self.pattern: SymmetricPattern | None = None
         self.displacement_unknown = np.zeros(solids.unknowns)
         self.displacement_unknown[solids.equation[:, :3][solids.free[:, :3]]] = 1.0
+        self.system = SymmetricSystem(self.displacement_unknown > 0.0)
 
     def residual(self, reach: float, freeze: bool = False) -> Residual:
         """Equations at the solids' present displacement and pressure."""
@@ -105,21 +115,25 @@ class Newton:
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 
-    def _line_search(self, step: Array, residual: Residual, reach: float, freeze: bool) -> tuple[Residual | None, float]:
+    def _line_search(
+        self, step: Array, residual: Residual, reach: float, freeze: bool, exact: bool = False
+    ) -> tuple[Residual | None, float]:
         """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the end, or a root by regula falsi.
 
         The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are
-        far from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end.
+        far from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end. So are
+        `exact` ones that make the residual grow. Each trial begins with the pairs that the start has: what a longer one lost is no loss.
         """
-        start = self.solids.state()
+        start, pairing = self.solids.state(), self.contact.pairing()
         moving = step * self.displacement_unknown
         slope = float(residual.equations @ moving)
         low, low_slope, high, high_slope = 0.0, slope, None, 0.0
         fraction = 1.0
         for _ in range(MAX_LINE_SEARCH):
             self.solids.move(start, step, fraction)
+            self.contact.set_pairing(pairing)
             trial = self.residual(reach, freeze)
-            if trial.min_jacobian <= SMALLEST_JACOBIAN or not np.isfinite(trial.equations).all():
+            if not trial.possible or (exact and trial.size > LARGEST_GROWTH * residual.size):
                 high, high_slope, fraction = None, 0.0, low + 0.5 * (fraction - low)
                 continue
             now = float(trial.equations @ moving)
@@ -134,8 +148,9 @@ class Newton:
             if high is None:
                 return trial, fraction
             fraction = low + (high - low) * min(max(low_slope / (low_slope - high_slope), 0.05), 0.95)
-        if trial.min_jacobian <= SMALLEST_JACOBIAN or not np.isfinite(trial.equations).all():
+        if not trial.possible:
             self.solids.set_state(start)
+            self.contact.set_pairing(pairing)
             return None, 0.0
         return trial, fraction
 
@@ -148,7 +163,7 @@ class Newton:
         status, iterations, residual = self._iterate(
             reach, tolerance or self.options.tolerance, self.options.max_iterations if solve else 0
         )
-        size = max(residual.imbalance, residual.volume_error)
+        size = residual.size
         return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before)
 
     def _iterate(self, reach: float, goal: float, limit: int) -> tuple[SolveStatus, int, Residual]:
@@ -157,7 +172,7 @@ class Newton:
         residual = self.residual(reach)
         before = np.inf
         for iteration in range(limit + 1):
-            size = max(residual.imbalance, residual.volume_error)
+            size = residual.size
             if not np.isfinite(residual.equations).all():
                 return SolveStatus.NONFINITE, iteration, residual
             if iteration > 0 and size <= goal:
@@ -170,10 +185,11 @@ class Newton:
                 self.system.update(self.tangent(near))
             before = size
             coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
-            step = self.system.step(-residual.equations, coupling, exact=iteration >= self.options.exact_after)
+            exact = iteration >= self.options.exact_after
+            step = self.system.step(-residual.equations, coupling, exact)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
-            trial, _ = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER)
+            trial, _ = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER, exact=exact)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial

@@ -42,13 +42,14 @@ TOLERANCES = {"fast": 1e-3, "balanced": 1e-4, "reference": 1e-6}  # imbalance le
 class PressProblem:
     """A scene made ready for Newton: numbering, supports, materials, contact.
 
-    `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`.
+    `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`. `held`: the part of κ, in shear moduli, by
+    which volume is held at points (`Solids.hold_volume`), of half of κ at most.
     """
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
                  part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
-                 tolerance: float | None = None) -> None:  # fmt: skip
+                 held: float = 0.0, tolerance: float | None = None) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -98,6 +99,8 @@ class PressProblem:
         self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
         self.shear = np.array([material.mu * KPA for material in of_tets])
+        if held > 0.0:
+            self.solids.hold_volume(np.minimum(held * self.shear, 0.5 * kappa))
         softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA
         self.memory: Memory | None = None
         if any(material.prony for _, several, _ in meshes for material in several):

@@ -36,6 +36,7 @@ MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
 OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
+MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 210
 FORCE_TOLERANCE = 2e-3  # of force_n
 SEARCH_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
@@ -136,7 +137,7 @@ class _March:
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
         self._previous: _State | None = None
-        self._iterations = self._factorisations = 0
+        self._iterations = self._factorisations = self._wasted = 0
 
     def run(self, spacing: float, states: int, progress: Progress | None) -> Marching:
         """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m]."""
@@ -151,7 +152,7 @@ class _March:
             here = _State(self.approach, problem.solids.state(), problem.contact.save())
             if not (yield from self._attempt(here, new)):
                 step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
-                if step < SMALLEST_STEP * spacing:
+                if step < SMALLEST_STEP * spacing or self._wasted > MOST_WASTED:
                     return
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""
@@ -222,6 +223,7 @@ class _March:
         if report.status is SolveStatus.CONVERGED:
             return True
         self.status = report.status
+        self._wasted += report.iterations
         self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         problem.solids.set_state(here.fields)
         contact.restore(here.contact)
@@ -262,14 +264,21 @@ class _March:
         wanted = self.press.force_n
         assert wanted is not None
         low, high = (here.approach, self.normal_force), (new, force)
+        beyond = _State(new, self.problem.solids.state(), self.problem.contact.save())
         while abs(force - wanted) > FORCE_TOLERANCE * wanted and high[0] - low[0] > 1e-9:
             fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
             new = low[0] + float(fraction) * (high[0] - low[0])
             if not (yield from self._attempt(here, new)):
                 break  # a longer step converged: keep to that, a little beyond the force
             force = -self.problem.contact_force()[2]
-            low, high = (low, (new, force)) if force > wanted else ((new, force), high)
+            if force > wanted:
+                high, beyond = (new, force), _State(new, self.problem.solids.state(), self.problem.contact.save())
+            else:
+                low = new, force
         else:
             return new, force
-        yield from self._attempt(here, high[0])
-        return high[0], -self.problem.contact_force()[2]
+        self.problem.solids.set_state(beyond.fields)
+        self.problem.contact.restore(beyond.contact)
+        yield Request(1.0 + 2 * (high[0] - here.approach) * MM, solve=False)
+        self.status, self.message = SolveStatus.CONVERGED, ""
+        return high

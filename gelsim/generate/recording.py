@@ -33,6 +33,8 @@ STATES = 8
 """Solved states of the expected travel, and at most three times as many where it is longer than that (docs/datasets.md: what for)."""
 LONGEST = 60
 """Frames of a slow robot's press at most."""
+ENOUGH = 0.6
+"""Of the wanted depth or force, whichever is nearer, at which a press that finds no equilibrium further on is kept as it is."""
 RADII = ("hemisphere", "cylinder", "punch", "tube", "shell", "tomato", "cone", "frustum", "torus")
 """Shapes that have a radius_mm."""
 
@@ -62,6 +64,8 @@ class Solved:
     """By stage."""
     estimate: Any
     """Of its error, by itself."""
+    short: str = ""
+    """Why it ended before its depth and its force, where it did."""
 
 
 def solve(press: Press, device: str = "cpu") -> Solved:
@@ -83,12 +87,14 @@ def solve(press: Press, device: str = "cpu") -> Solved:
         solved = pipeline.press(resolved(press.scene), device=where, record=record, throw=False)
     except (MeshingError, SolveError, SceneError) as error:
         raise PressFailed(type(error).__name__, str(error)) from error
-    return Solved(checked(solved), record.seconds, solved.info.get("error_estimate"))
+    motion = checked(solved, press.scene)
+    short = "" if solved.status is SolveStatus.CONVERGED else solved.message
+    return Solved(motion, record.seconds, solved.info.get("error_estimate"), short)
 
 
-def checked(solved: Deformation) -> Motion:
-    """The motion of a press that went to its end. Raises PressFailed."""
-    if solved.status is not SolveStatus.CONVERGED:
+def checked(solved: Deformation, scene: Scene) -> Motion:
+    """The motion of a press that went to its end, or as far as there was an equilibrium and `ENOUGH` of the way. Raises PressFailed."""
+    if solved.status is not SolveStatus.CONVERGED and share_of_way(solved, scene) < ENOUGH:
         raise PressFailed(solved.status.name, solved.message)
     motion = Motion.of_press(solved)
     if not all(np.isfinite(part).all() for part in (motion.displacement, motion.force)):
@@ -98,6 +104,14 @@ def checked(solved: Deformation) -> Motion:
     if len(motion.approach) < 2:
         raise PressFailed("NO_MOTION", "only first touch was solved")
     return motion
+
+
+def share_of_way(solved: Deformation, scene: Scene) -> float:
+    """How near the last state is to what ends the press: its depth or its force, the nearer."""
+    press = scene.press
+    assert press.depth_mm is not None, "a plan gives every press a depth"
+    by_depth = float(solved.approach[-1]) / MM / press.depth_mm
+    return by_depth if press.force_n is None else max(by_depth, float(-solved.force[-1, 2]) / press.force_n)
 
 
 def resolved(scene: Scene) -> Scene:
@@ -138,8 +152,12 @@ def expected_travel(scene: Scene) -> float:
     return float(travel)
 
 
-def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio: Studio | None) -> Made:
-    """Episode `end` of a press: its motion up to an end point, as its sensor sees it; without a studio in the dark."""
+def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio: Studio | None, short: str = "") -> Made:
+    """Episode `end` of a press: its motion up to an end point, as its sensor sees it; without a studio in the dark.
+
+    Args:
+        short: Why the press ended early (`Solved.short`); noted in the row as `ended_early`.
+    """
     draw = catalogue.episode(press, end)
     scene = build_scene(scene_table(press.scene), draw.layer)
     far = draw.end * float(motion.approach[-1])
@@ -154,7 +172,7 @@ def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio:
         "radius_mm": body.radius_mm if body.shape in RADII else None, "shore_00": None if body.rigid or natural else body.shore_00,
         "rigid": body.rigid, "motion": press.group.motion, "domain": "sim", "mechanics": f"{press.number:06d}",
         "sensor": f"{scene.sensor.preset}-{press.sensor}", "body_shore_00": None if body.rigid else body.shore_00, "split": press.split,
-    }  # fmt: skip
+    } | ({"ended_early": short} if short else {})  # fmt: skip
     return pictured(told, press.scene, pack(motion.until(far)), approach, row, studio)
 
 

@@ -117,9 +117,11 @@ def generate(
 def report_of(book: Book, out: Path, asked: Collection[int], before: int, workers: int, seconds: float) -> dict[str, Any]:
     """What the command reports of a run that came to its end; `before` of the episodes `asked` for were known when it began."""
     failed = [row for row in book.failures.values() if row["index"] in asked]
+    early = sorted({int(row["mechanics"]) for row in book.rows.values() if "ended_early" in row and row["index"] in asked})
     return {
         "out": str(out), "episodes": book.count(asked) - len(failed), "failed": len(failed), "asked": len(asked),
-        "failures": failed[:20], "exit_code": 4 if len(failed) > MOST_FAILED * len(asked) else 0, "workers": workers,
+        "presses_ended_early": early, "failures": failed[:20], "exit_code": 4 if len(failed) > MOST_FAILED * len(asked) else 0,
+        "workers": workers,
         "seconds": round(seconds, 1), "episodes_per_hour": round(3600 * (len(asked) - before) / max(seconds, 1e-9), 1),
         "splits": {name: len(members) for name, members in book.splits().items()},
     }  # fmt: skip
@@ -132,6 +134,10 @@ def summary(report: dict[str, Any]) -> str:
         f"{report['out']}: {report['episodes']} of {report['asked']} episodes ({splits})",
         f"{report['seconds']:.0f} s with {report['workers']} workers, {report['episodes_per_hour']:.0f} episodes/h",
     ]
+    if early := report["presses_ended_early"]:
+        lines.append(
+            f"{len(early)} presses ended early, where no equilibrium was found further on (ended_early in their rows): {early[:20]}"
+        )
     if report["failed"]:
         first = report["failures"][0]
         lines.append(f"{report['failed']} failed (meta/failures.jsonl), such as {first['index']}: {first['status']}, {first['message']}")
@@ -164,7 +170,7 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
                     continue
                 mechanics, start = time.perf_counter() - start, time.perf_counter()
                 for end in ends:
-                    made = recording.record(catalogue, press, end, solved.motion, studio)
+                    made = recording.record(catalogue, press, end, solved.motion, studio, solved.short)
                     drawing += time.perf_counter() - start
                     path = write_episode(out, made.episode, made.members)
                     done.rows.append((made.episode.row, sums_of(path)))

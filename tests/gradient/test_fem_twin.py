@@ -62,6 +62,45 @@ def test_kernels_match_the_twin_at_equal_stretches(law: str, state: str) -> None
     compare_with_twin(solids, law, 4)
 
 
+@pytest.mark.parametrize("law", ["yeoh", "ogden"])
+def test_volume_held_at_points(law: str) -> None:
+    """κ' (J - 1)²/2 at the points: energy, force and tangent against its own energy by the complex step, beside those of κ - κ'."""
+    solids = deformed(4, law)
+    held = np.array([300.0, 500.0])
+    solids.hold_volume(held)
+    _, residual, tangent = twin(solids)
+    u, energy = solids.state()[0], 0.0
+    _, _, _, gradients, weights, *_ = (array.numpy() for array in solids._inputs)
+
+    def share(t: int, v: Array) -> Array:
+        j = [np.linalg.det(np.eye(3) + v.reshape(-1, 3).T @ g) for g in gradients[t]]
+        return held[t] / 2 * np.sum([w * (x - 1) ** 2 for w, x in zip(weights[t], j, strict=True)])
+
+    def force_of(t: int, v: Array) -> Array:
+        f = [np.eye(3) + v.reshape(-1, 3).T @ g for g in gradients[t]]
+        j = [np.linalg.det(x) for x in f]
+        parts = [w * (a - 1) * a * g @ np.linalg.inv(x) for w, a, x, g in zip(weights[t], j, f, gradients[t], strict=True)]
+        return held[t] * np.sum(parts, axis=0).ravel()
+
+    for t, tet in enumerate(solids.tets):
+        place, v = (4 * tet[:, None] + np.arange(3)).ravel(), u[tet].ravel()
+        by_energy, by_force = reference.derivative(lambda w, t=t: share(t, w), v), force_of(t, v)
+        assert np.abs(by_energy - by_force).max() <= 100 * EPS * np.abs(by_force).max() and np.abs(by_force).max() > 1.0
+        energy += share(t, v)
+        residual.reshape(-1)[place] += by_force
+        tangent.reshape(4 * len(u), -1)[np.ix_(place, place)] += reference.derivative(lambda w, t=t: force_of(t, w), v)
+    force = solids.internal_force()[0]
+    matrix, wanted = tangent_of(solids).toarray(), tangent[solids.free][:, solids.free]
+    # roundings as in compare_with_twin, and Ogden's; forces of held volume are ten times the others'
+    bound = 10 * 8 * 30 * EPS
+    assert np.abs(force - residual[:, :3]).max() <= bound * np.abs(residual[:, :3]).max()
+    assert np.abs(matrix - wanted).max() <= bound * np.abs(wanted).max()
+    whole = solids.energy()
+    solids._held[0].zero_()
+    solids.internal_force()
+    assert whole - solids.energy() == pytest.approx(energy, rel=bound)
+
+
 def compare_with_twin(solids: Solids, law: str, points: int) -> None:
     energy, residual, tangent = twin(solids)
     force, volume, smallest = solids.internal_force()

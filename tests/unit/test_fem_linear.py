@@ -208,3 +208,22 @@ def test_a_poor_float32_factor_is_replaced() -> None:
 def test_a_solver_without_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gelsim.fem.linear.find_mkl", lambda: None)
     assert isinstance(make_solver(), SuperLUSolver)
+
+
+@needs_mkl
+def test_an_exact_step_of_a_saddle_goes_downhill() -> None:
+    """A body that folds: two springs of 1, coupled by 1.02, are of stiffness 2.02 and -0.02, in which the matrix's step is uphill."""
+    matrix = np.diag([1.0, 1.0, 1.0, 3.0, -1.0])
+    matrix[0, 1] = matrix[1, 0] = 1.02
+    matrix[2, 4] = matrix[4, 2] = 0.5
+    whole = sp.csr_matrix(np.triu(matrix) + np.triu(np.full((5, 5), 1e-9), 1))
+    b, steps = np.array([1.0, -1.0, 0.1, 0.1, 0.0]), []
+    for positive in (None, np.arange(5) < 4):
+        system = SymmetricSystem(positive)
+        system.analyse(whole.indptr.astype(np.int32), whole.indices.astype(np.int32))
+        system.update(whole.data)
+        steps.append(system.step(b, None, exact=True))
+    assert b @ steps[0] == pytest.approx(2 / -0.02, rel=1e-2)
+    # a shift of 0.008 is too little, of 0.06 it is enough: 2/(0.06 - 0.02), and 0.1²/1.3 + 0.1²/3 of the others
+    assert b @ steps[1] == pytest.approx(2 / 0.04, rel=1e-2)
+    assert system.factorisations == 4

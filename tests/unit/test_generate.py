@@ -18,7 +18,7 @@ from dataset_fixtures import TINY, contents, formula_field, put_fields
 
 from gelsim import generate as generating
 from gelsim.dataset import load_dataset
-from gelsim.errors import DatasetError, SceneError
+from gelsim.errors import DatasetError, SceneError, SolveStatus
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import relit
@@ -27,6 +27,7 @@ from gelsim.generate.run import Book, generate, make_worker, report_of
 from gelsim.lightfield import write_field
 from gelsim.optics import bake
 from gelsim.randomize import Catalogue, EpisodeDraw, load_plan
+from gelsim.results import Deformation
 from gelsim.scene_file import build_scene
 from gelsim.workers import LocalCrew, WorkError, work_through
 
@@ -202,6 +203,20 @@ def test_a_press_that_fails_is_listed(tmp_path: Path, monkeypatch: pytest.Monkey
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("force_n, depth_mm, kept", [(None, 1.6, True), (None, 1.7, False), (1.6, 4.0, True), (1.7, 4.0, False)])
+def test_a_press_that_finds_no_equilibrium_further_on(deformation: Deformation, force_n: float | None, depth_mm: float, kept: bool):
+    """It went 1.0 mm with 1.0 N: 0.6 of 1.6 mm or of 1.6 N is enough, and more wanted of both is not."""
+    scene = Catalogue(load_plan(TINY), 0).press(0).scene
+    scene = scene.replace(press=replace(scene.press, depth_mm=depth_mm, force_n=force_n))
+    stopped = replace(deformation, status=SolveStatus.MAX_ITERATIONS, message="stopped")
+    if kept:
+        assert recording.checked(stopped, scene).approach[-1] == 1e-3
+    else:
+        with pytest.raises(recording.PressFailed, match="stopped"):
+            recording.checked(stopped, scene)
+    assert recording.checked(deformation, scene).approach[-1] == 1e-3
+
+
 # ---- whole datasets ----
 
 
@@ -296,3 +311,6 @@ def test_a_report_counts_the_episodes_that_there_are(tmp_path: Path) -> None:
     report = report_of(book, Path("out"), {0, 2, 7}, 0, 1, 3600.0)
     assert (report["episodes"], report["failed"], report["asked"], report["episodes_per_hour"]) == (2, 1, 3, 3.0)
     assert report_of(book, Path("out"), range(3), 0, 1, 1.0)["episodes"] == 2
+    assert report["presses_ended_early"] == []
+    book.rows[2] |= {"ended_early": "stopped", "mechanics": "000001"}
+    assert report_of(book, Path("out"), range(3), 0, 1, 1.0)["presses_ended_early"] == [1]

@@ -15,6 +15,7 @@ one axis.
 
 # no postponed annotations here: those of kernels name a local type
 from functools import lru_cache
+from typing import Any
 
 import warp as wp
 
@@ -281,3 +282,7 @@ class PlanarSolids(Solids):
     """`Solids` of triangles (T, 6) in the plane y = 0, `fixed` there: forces are per radian or per millimetre of depth."""
 
     kernels = staticmethod(triangle_kernels)
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._held = []  # volume is kept through the pressure only
