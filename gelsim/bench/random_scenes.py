@@ -16,7 +16,7 @@ from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.errors import SolveStatus
 
 SEED = 2017
-COUNT, QUICK_COUNT = 300, 10
+COUNT, QUICK_COUNT = 300, 4
 SECONDS = 1800.0
 MEMORY = 8 * GIGABYTE
 WANTED = 0.995
