@@ -15,7 +15,7 @@ from gelsim.dataset import Dataset, load_dataset
 from gelsim.errors import SceneError
 from gelsim.generate.light import Studio
 from gelsim.generate.relight import own_catalogue, plan_of, relit_episode
-from gelsim.generate.run import Progress, gpus_of, kept_plan, measure_lights
+from gelsim.generate.run import Progress, gpus_of, kept_plan, measure_lights, sensors_of
 from gelsim.randomize import Catalogue
 from gelsim.results import Episode
 
@@ -46,8 +46,7 @@ def prepare(data: Dataset, plan: str | None, device: str, progress: Progress | N
     if device == "auto":
         hidden = os.environ.get("CUDA_VISIBLE_DEVICES") == ""
         device = "cuda" if not hidden and optics.choose_variant("auto").name.startswith("cuda") else "cpu"
-    # The number of the plan's sensor ends its name: to draw each press anew for it would take seconds.
-    seen = sorted({int(row["sensor"].rsplit("-", 1)[1]) for row in data.rows})
+    seen = sensors_of(catalogue, dict.fromkeys(int(row["mechanics"]) for row in data.rows))
     measure_lights([catalogue.sensor_scene(number) for number in seen], device, progress)
     return name, device, gpus_of(device)
 

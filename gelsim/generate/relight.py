@@ -23,7 +23,7 @@ from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, scene_of
-from gelsim.generate.run import Book, Progress, crew_of, features, kept_plan, measure_lights, report_of, sums_of
+from gelsim.generate.run import Book, Progress, crew_of, features, kept_plan, measure_lights, report_of, sensors_of, sums_of
 from gelsim.randomize import EPISODE, Catalogue, generator, load_plan
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene, scene_table
@@ -63,7 +63,7 @@ def relight(
     if sensor is None:
         catalogue = own_catalogue(data, name)
         width, height = catalogue.plan.resolution
-        seen = sorted({catalogue.press(number).sensor for number in {int(row["mechanics"]) for row in data.rows}})
+        seen = sensors_of(catalogue, dict.fromkeys(int(row["mechanics"]) for row in data.rows))
         scenes = [catalogue.sensor_scene(number) for number in seen]
         seed = catalogue.seed
     else:

@@ -90,9 +90,8 @@ def generate(
     keep_plan(catalogue, out)
     total, before = episodes, sum(len(of_press) for of_press in wanted.values()) - sum(len(of_press) for of_press in todo.values())
     if todo:
-        presses = {number: catalogue.press(number) for number in todo}
         if light and catalogue.plan.mode == "baked":
-            measure_lights([catalogue.sensor_scene(n) for n in sorted({press.sensor for press in presses.values()})], device, progress)
+            measure_lights([catalogue.sensor_scene(number) for number in sensors_of(catalogue, todo)], device, progress)
         handfuls = [(number,) for number in todo]
 
         def lost(handful: Handful, status: str, message: str) -> Done:
@@ -213,6 +212,16 @@ def sums_of(path: Path) -> dict[str, Any]:
     from gelsim.dataset import read_members
 
     return json.loads(read_members(path, ["row.json"])["row.json"])["sums"]
+
+
+def sensors_of(catalogue: Catalogue, presses: Iterable[int]) -> list[int]:
+    """Those of the pool that some presses are seen by."""
+    seen: set[int] = set()
+    for number in presses:  # each is drawn whole, milliseconds: not more of them than there is need
+        seen.add(catalogue.press(number).sensor)
+        if len(seen) == catalogue.plan.sensors:
+            break
+    return sorted(seen)
 
 
 def measure_lights(sensors: list[Scene], device: str, progress: Progress | None) -> None:
