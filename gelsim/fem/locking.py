@@ -19,7 +19,7 @@ wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 def locked_residual(
     tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
     gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
-    law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64),
+    law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), _held: wp.array(dtype=wp.float64),
     force: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64), energy: wp.array(dtype=wp.float64),
     min_jacobian: wp.array(dtype=wp.float64),
 ):  # fmt: skip
@@ -49,7 +49,8 @@ def locked_residual(
 def locked_tangent(
     tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
     gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
-    law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), pattern: PairPattern, values: wp.array(dtype=wp.float64),
+    law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), _held: wp.array(dtype=wp.float64),
+    pattern: PairPattern, values: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     t = wp.tid()
     third = wp.float64(1.0) / wp.float64(3.0)
