@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 
 from gelsim import materials
+from gelsim.dataset import read_json
 from gelsim.distributions import DRAWS, check_distribution, check_fields, draw, draw_fields, is_number
-from gelsim.errors import GelsimError, SceneError
+from gelsim.errors import DatasetError, GelsimError, SceneError
 from gelsim.fields import convert, nearest
 from gelsim.scene import Scene
 from gelsim.scene_file import Layer, build_scene, read_toml
@@ -154,12 +155,9 @@ def load_plan(name: str) -> Plan:
 def _kept(path: Path) -> Layer:
     """The table of a plan that a dataset keeps."""
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise SceneError(f"--plan {str(path)!r} cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if not isinstance(table, dict):
-        raise SceneError(f"--plan {str(path)!r} holds no table")
-    return table
+        return read_json(path, dict)
+    except DatasetError as error:
+        raise SceneError(f"--plan {error}") from None
 
 
 def _plan(table: Layer) -> Plan:

@@ -149,7 +149,7 @@ class _March:
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
-            here = _State(self.approach, problem.solids.state(), problem.contact.save())
+            here = self._state(self.approach)
             if not (yield from self._attempt(here, new)):
                 step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing or self._wasted > MOST_WASTED:
@@ -177,7 +177,7 @@ class _March:
         smallest = SMALLEST_STEP * step
         while left > 1e-9 * self.press.hold_s:
             step = min(step, left)
-            here = _State(self.approach, self.problem.solids.state(), self.problem.contact.save())
+            here = self._state(self.approach)
             if not (yield from self._attempt(here, self.approach, step)):
                 step, self.halved = step / 2, self.halved + 1
                 if step < smallest:
@@ -225,10 +225,17 @@ class _March:
         self.status = report.status
         self._wasted += report.iterations
         self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
-        problem.solids.set_state(here.fields)
-        contact.restore(here.contact)
-        yield Request(reach, solve=False)
+        yield from self._return_to(here, reach)
         return False
+
+    def _state(self, approach: float) -> _State:
+        """The present one, to return to."""
+        return _State(approach, self.problem.solids.state(), self.problem.contact.save())
+
+    def _return_to(self, state: _State, reach: float) -> Marching:
+        self.problem.solids.set_state(state.fields)
+        self.problem.contact.restore(state.contact)
+        yield Request(reach, solve=False)
 
     def _count(self, report: NewtonReport) -> None:
         self._iterations += report.iterations
@@ -264,7 +271,7 @@ class _March:
         wanted = self.press.force_n
         assert wanted is not None
         low, high = (here.approach, self.normal_force), (new, force)
-        beyond = _State(new, self.problem.solids.state(), self.problem.contact.save())
+        beyond = self._state(new)
         while abs(force - wanted) > FORCE_TOLERANCE * wanted and high[0] - low[0] > 1e-9:
             fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
             new = low[0] + float(fraction) * (high[0] - low[0])
@@ -272,13 +279,11 @@ class _March:
                 break  # a longer step converged: keep to that, a little beyond the force
             force = -self.problem.contact_force()[2]
             if force > wanted:
-                high, beyond = (new, force), _State(new, self.problem.solids.state(), self.problem.contact.save())
+                high, beyond = (new, force), self._state(new)
             else:
                 low = new, force
         else:
             return new, force
-        self.problem.solids.set_state(beyond.fields)
-        self.problem.contact.restore(beyond.contact)
-        yield Request(1.0 + 2 * (high[0] - here.approach) * MM, solve=False)
+        yield from self._return_to(beyond, 1.0 + 2 * (high[0] - here.approach) * MM)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
