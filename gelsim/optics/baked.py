@@ -158,10 +158,16 @@ class BakedRenderer:
         assert layout is not None
         floats_a_frame = 4 * layout.columns * layout.rows
 
-        def drawn(tables: dict[str, Any], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
-            return draw(arrays, layout, tables, places, normals, keys, len(places) // floats_a_frame)
+        # Dr.Jit replays what it recorded for other sizes of the arguments too, as if the number of frames were still that of the first.
+        compiled: dict[int, Any] = {}
 
-        return arrays.compiled(drawn)
+        def drawn(tables: dict[str, Any], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
+            frames = len(places) // floats_a_frame
+            if frames not in compiled:
+                compiled[frames] = arrays.compiled(lambda *arguments: draw(arrays, layout, *arguments, frames))
+            return compiled[frames](tables, places, normals, keys)
+
+        return drawn
 
     def _prepare_sensor(self, grid: tuple[int, int], texels: tuple[int, int], pipeline: Pipeline) -> None:
         """What camera, gel, places of the lights and the field's table make."""

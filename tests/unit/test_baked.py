@@ -267,6 +267,20 @@ def test_renderers_like_each_other_are_traced_once(monkeypatch):
     assert len(traced) == 2
 
 
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+def test_a_launch_of_any_number_of_frames_is_those_frames(variant):
+    """Planted: one recording for all numbers of frames gives one frame of three, or ends the process."""
+    scene = marked_scene()
+    membranes = [dragged(scene), ridge(scene), rest_membrane(scene)]
+    renderer = BakedRenderer(scene, linear_field(), variant)
+    alone = [renderer.picture(membrane) for membrane in membranes]
+    for first in (0, 1, 2):
+        together = renderer.pictures(membranes[first:])
+        assert len(together) == len(membranes) - first
+        for (radiance, height), (one, z) in zip(together, alone[first:], strict=True):
+            assert np.array_equal(radiance, one) and np.array_equal(height, z, equal_nan=True)
+
+
 def test_means_over_boxes_and_values_between_texels():
     values = np.random.default_rng(6).random(50).astype(np.float32)
     box, step = 3.7, 2.3
