@@ -135,6 +135,8 @@ class SurfaceContact:
                 free = np.abs(rest[self.vertices, column]) > 1e-9
             self._projections.append((np.flatnonzero(free), splu(matrix[free][:, free])))
         self.multipliers = np.zeros((len(self.vertices), 4))
+        self.kept = np.zeros((count, 3))
+        """Traction on the gel [kPa] beyond the multipliers, of every point."""
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
         self._share()
 
@@ -302,8 +304,14 @@ class SurfaceContact:
         return found
 
     def settle(self) -> None:
-        """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points."""
+        """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points.
+
+        Friction that linear functions cannot hold, where normals differ within a face of the gel (at a sharp edge), each point keeps.
+        """
         self.augment()
+        if self.frictional:
+            self.kept = self.traction.numpy() - self._at_points(self.multipliers[:, 1:])
+            self.set_multipliers(self.multipliers)
         self.anchor_face.assign(self.face)
         self.anchor_xi.assign(self.xi)
 
@@ -311,10 +319,14 @@ class SurfaceContact:
         """Sets λ and λ_t [kPa] at the gel's face vertices, (V, 4); negative pressure becomes 0."""
         self.multipliers = at_vertices.copy()
         self.multipliers[:, 0] = np.maximum(at_vertices[:, 0], 0.0)
-        at_points = np.einsum("qa,fac->fqc", self._bary, self.multipliers[self._corner]).reshape(-1, 4)
+        at_points = self._at_points(self.multipliers)
         self.multiplier.assign(at_points[:, 0])
         if self.frictional:
-            self.shift.assign(-at_points[:, 1:])
+            self.shift.assign(-at_points[:, 1:] - self.kept)
+
+    def _at_points(self, at_vertices: Array) -> Array:
+        """Linear functions over the gel's faces, (V, C), at the quadrature points, (P, C)."""
+        return np.einsum("qa,fac->fqc", self._bary, at_vertices[self._corner]).reshape(-1, at_vertices.shape[1])
 
     def augment(self) -> None:
         """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the gel's faces."""
@@ -345,20 +357,22 @@ class SurfaceContact:
         for array, kept in zip((self.face, self.xi, self.gap), pairing, strict=True):
             wp.copy(array, kept)
 
-    def save(self) -> tuple[Array, Array, Array]:
-        """Friction history and multipliers, to return to when a step is halved."""
-        return self.anchor_face.numpy().copy(), self.anchor_xi.numpy().copy(), self.multipliers
+    def save(self) -> tuple[Array, ...]:
+        """Pairs, friction history, multipliers and what points keep beyond them, to return to when a step is halved."""
+        places = self.face, self.xi, self.gap, self.anchor_face, self.anchor_xi
+        return *(array.numpy().copy() for array in places), self.multipliers, self.kept
 
-    def restore(self, history: tuple[Array, Array, Array]) -> None:
-        self.anchor_face.assign(history[0])
-        self.anchor_xi.assign(history[1])
-        self.set_multipliers(history[2])
-        self.face.fill_(-1)  # pairs found on the way to a failure are no guide
+    def restore(self, history: tuple[Array, ...]) -> None:
+        *places, multipliers, self.kept = history
+        for array, kept in zip((self.face, self.xi, self.gap, self.anchor_face, self.anchor_xi), places, strict=True):
+            array.assign(kept)
+        self.set_multipliers(multipliers)
 
     def forget(self) -> None:
         """No history, no multipliers, no pairs: as it was made."""
         self.anchor_face.fill_(-1)
         self.face.fill_(-1)
+        self.kept = np.zeros_like(self.kept)
         self.set_multipliers(np.zeros_like(self.multipliers))
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

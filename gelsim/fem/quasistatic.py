@@ -124,8 +124,10 @@ class _State:
     approach: float
     fields: tuple[Array, Array]
     """Displacement and pressure of the solids."""
-    contact: tuple[Array, Array, Array]
-    """Anchors and multipliers of the contact."""
+    contact: tuple[Array, ...]
+    """Of the contact, as `SurfaceContact.save` has it."""
+    multipliers: Array
+    """Of the contact."""
 
 
 class _March:
@@ -152,7 +154,7 @@ class _March:
             here = self._state(self.approach)
             if not (yield from self._attempt(here, new)):
                 step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
-                if step < SMALLEST_STEP * spacing or self._wasted > MOST_WASTED:
+                if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > MOST_WASTED:
                     return
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""
@@ -230,7 +232,7 @@ class _March:
 
     def _state(self, approach: float) -> _State:
         """The present one, to return to."""
-        return _State(approach, self.problem.solids.state(), self.problem.contact.save())
+        return _State(approach, self.problem.solids.state(), self.problem.contact.save(), self.problem.contact.multipliers)
 
     def _return_to(self, state: _State, reach: float) -> Marching:
         self.problem.solids.set_state(state.fields)
@@ -249,7 +251,7 @@ class _March:
             ratio = (new - here.approach) / (here.approach - self._previous.approach)
             displacement += ratio * (here.fields[0] - self._previous.fields[0])
             pressure += ratio * (here.fields[1] - self._previous.fields[1])
-            problem.contact.set_multipliers(here.contact[2] + ratio * (here.contact[2] - self._previous.contact[2]))
+            problem.contact.set_multipliers(here.multipliers + ratio * (here.multipliers - self._previous.multipliers))
         else:
             nodes = problem.object_nodes
             displacement[nodes] += self._motion(nodes, new) - self._motion(nodes, here.approach)

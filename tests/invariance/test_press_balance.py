@@ -81,8 +81,8 @@ def test_first_state_is_untouched() -> None:
         assert (np.diff(press.contact_area) > 0).all()
 
 
-def shear_press(friction: float | str) -> tuple[PressProblem, Array]:
-    problem, press = ball_press(ball_scene(0.3, 4, friction=friction, shear_mm=(0.25, 0.0)), 0.7, 2.1, whole="x")
+def shear_press(friction: float | str, frames: int = 4) -> tuple[PressProblem, Array]:
+    problem, press = ball_press(ball_scene(0.3, frames, friction=friction, shear_mm=(0.25, 0.0)), 0.7, 2.1, whole="x")
     return problem, press.force
 
 
@@ -112,9 +112,10 @@ def test_friction_stays_below_mu_times_normal() -> None:
 
 
 def test_sticking_is_the_limit_of_friction() -> None:
-    _, stick = shear_press("stick")
-    _, high = shear_press(10.0)
-    # at μ = 10 a few points at the rim, where pressure falls to 0, slip; their share of the area times the force
+    _, stick = shear_press("stick", 7)
+    _, high = shear_press(10.0, 7)
+    # at μ = 10 a few points at the rim, where pressure falls to 0, slip; their share of the area times the force: 0.01 % in steps of 50 µm,
+    # 1 % in those of 100 µm, in which new points are dragged as far as they are pressed
     assert high[-1] == pytest.approx(stick[-1], abs=0.01 * np.linalg.norm(stick[-1]))
     _, low = shear_press(0.1)
     assert stick[-1, 0] > 2 * low[-1, 0]
