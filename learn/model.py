@@ -172,6 +172,7 @@ class PaperNet(nn.Module):
         for layer in (*self.features, *self.classifier):
             if isinstance(layer, (nn.Conv2d, nn.Linear)):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+                assert layer.bias is not None
                 nn.init.zeros_(layer.bias)
         self.register_buffer("centre", torch.tensor(50.0))
         self.register_buffer("scale", torch.tensor(25.0))

@@ -164,7 +164,7 @@ class BakedRenderer:
         def drawn(tables: dict[str, Any], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
             frames = len(places) // floats_a_frame
             if frames not in compiled:
-                compiled[frames] = arrays.compiled(lambda *arguments: draw(arrays, layout, *arguments, frames))
+                compiled[frames] = arrays.compiled(lambda *arguments: draw(arrays, layout, *arguments, frames))  # type: ignore[call-arg]
             return compiled[frames](tables, places, normals, keys)
 
         return drawn
