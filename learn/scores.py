@@ -117,14 +117,22 @@ def _ranks(values: Array) -> Array:
 
 
 def ranking(rows: Sequence[Mapping[str, Any]], estimate: Array) -> dict[str, dict[str, Any]]:
-    """Spearman over the objects of each shape, an object's estimate being the mean over its presses."""
+    """Spearman over the objects of each shape, an object's estimate being the mean over its presses.
+
+    The truth is the hardness of an object's body, which objects of several materials have too.
+    """
     found = {}
     for shape in dict.fromkeys(row["shape"] for row in rows):
-        mine = [number for number, row in enumerate(rows) if row["shape"] == shape and row["shore_00"] is not None]
+        mine = [number for number, row in enumerate(rows) if row["shape"] == shape and _body(row) is not None]
         objects = list(dict.fromkeys(rows[number]["object"] for number in mine))
         if len(objects) < 2:
             continue
         means = [np.mean([estimate[number] for number in mine if rows[number]["object"] == name]) for name in objects]
-        true = [next(float(rows[number]["shore_00"]) for number in mine if rows[number]["object"] == name) for name in objects]
+        true = [next(float(_body(rows[number]) or 0.0) for number in mine if rows[number]["object"] == name) for name in objects]
         found[shape] = {"objects": len(objects), "presses": len(mine), "spearman": spearman(true, means)}
     return found
+
+
+def _body(row: Mapping[str, Any]) -> float | None:
+    """Recordings of real objects have one hardness, simulated ones also that of what lies under a skin."""
+    return row.get("body_shore_00", row["shore_00"])

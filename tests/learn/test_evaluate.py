@@ -12,7 +12,7 @@ import pytest
 from learn import scores
 from learn.baselines import NAMES, RIDGES, fit_baselines, over_time, ridge_weights
 from learn.config import LearnError, configure
-from learn.evaluate import evaluate, table
+from learn.evaluate import FIRM_N, _row_report, evaluate, table
 from learn.features import press_features
 
 
@@ -117,6 +117,22 @@ def test_features_of_a_dent_that_is_known() -> None:
     assert found[1, 1] == pytest.approx(np.pi * radius**2 / (rows * columns), rel=0.03)
     assert found[1, 3] == pytest.approx(radius / np.sqrt(2) / columns, rel=0.03)
     assert found[1, 5] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_objects_of_several_materials_are_ranked_by_their_body() -> None:
+    """As `gelsim dataset` writes them: no hardness of the whole. Planted: by `shore_00` there is nothing to rank."""
+    rows = [{"shape": "tomato", "object": f"t{n // 2}", "shore_00": None, "body_shore_00": 10.0 + n // 2} for n in range(8)]
+    found = scores.ranking(rows, np.array([1, 2, 3, 4, 9, 9, 5, 6], float))
+    assert found == {"tomato": {"objects": 4, "presses": 8, "spearman": pytest.approx(0.8)}}
+
+
+def test_firm_presses_have_an_error_of_their_own() -> None:
+    def press(force: float | None, error: float) -> dict:
+        row = {"object": "a", "peak_force_n": force, "rigid": False, "body_shore_00": 30.0}
+        return {"row": row, "true": 30.0, "estimate": 30.0 + error, "spread": 5.0, "novelty": 0.0, "contact": True}
+
+    report = _row_report("robot", [press(FIRM_N, 3.0), press(4.0, -3.0), press(0.4, 40.0), press(None, 40.0)], False)
+    assert (report["firm"]["presses"], report["firm"]["rmse"]) == (2, 3.0)
 
 
 def test_an_evaluation_writes_the_table_of_the_paper(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.Ca
         (["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")], "is no dataset"),
         (["train", "--data", "x", "--out", "y", "--batch", "many"], "batch = 'many': expected int"),
         (["eval", "--model", str(tmp_path / "no.pt"), "--data", str(tmp_path)], "no"),
-        (["predict", "--model", "default", "x.mp4"], "no shipped checkpoint"),
+        (["predict", "--model", "defolt", "x.mp4"], "no shipped checkpoint"),
         (["nonsense"], "COMMAND"),
     ):
         assert cli.main(arguments) == 2
