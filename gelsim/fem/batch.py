@@ -42,8 +42,6 @@ from gelsim.results import Deformation
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MARGIN_MM = 0.3
-"""Gap under which a pair of faces is given its place in the matrix: wider than for one press, as a new order costs all scenes."""
 FORCING = 0.1
 """|R + K step|/|R| to which a step is solved; a scene whose factor does not bring it there in time gets a new one for its next step."""
 EXACT = 1e-6
@@ -51,7 +49,7 @@ EXACT = 1e-6
 POOR = 0.5
 """… above which the step is not taken but solved anew at once."""
 REACH_MM = 2.0
-"""Bounds the search for contact."""
+"""Bounds the search for contact. All that is found has its place in the matrix, as a new order costs all scenes."""
 
 
 @dataclass
@@ -137,6 +135,7 @@ class _Batch:
         self.pattern: SymmetricPattern | None = None
         self.nodes, self.unknowns = first.solids.node_count, first.solids.unknowns
         self._single = first.solids
+        self._coupled = self._single.keys
 
         device, total = self.solids.device, self.solids.node_count
         self.equation = wp.array(self.solids.equation, dtype=wp.int32, device=device)
@@ -305,10 +304,10 @@ class _Batch:
         self.contact.add_slip_product(self.equation, v, out)
 
     def _grow(self) -> None:
-        """Makes a pattern that holds the present contact of all scenes, and what may come."""
-        gel, body = self.contact.node_pairs(MARGIN_MM)
-        keys = np.union1d(self._single.keys, pair_keys(gel, body, self.nodes))
-        self.pattern = build_pattern(self._single.free, keys, self.solids.device)
+        """Makes a pattern that holds the present contact of all scenes, what may come, and what there was: it may come back."""
+        gel, body = self.contact.node_pairs(REACH_MM)
+        self._coupled = np.union1d(self._coupled, pair_keys(gel, body, self.nodes))
+        self.pattern = build_pattern(self._single.free, self._coupled, self.solids.device)
         self._pairs = repeat_pairs(self.pattern, self.count)
         self.values = wp.zeros(self.count * len(self.pattern.indices), dtype=wp.float64, device=self.solids.device)
         self._graphs.pop("tangent", None)

@@ -378,26 +378,25 @@ class SurfaceContact:
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (gel, object) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
         gel_face = np.arange(len(self.weight)) // self.points % len(self.gel_faces)
-        near = (self.gap.numpy() < margin) & (self.face.numpy() >= 0)
-        pairs = [np.stack([gel_face[near], self.face.numpy()[near]], 1)]
+        gap, face = self.gap.numpy(), self.face.numpy()
+        near = (gap < margin) & (face >= 0)
+        slave, master = gel_face[near], face[near]
         if self.frictional:
-            held = (self.anchor_face.numpy() >= 0) & near
-            pairs.append(np.stack([gel_face[held], self.anchor_face.numpy()[held]], 1))
-        pairs = np.unique(np.concatenate(pairs), axis=0)
-        ring_start, ring = self._rings()
-        length = np.diff(ring_start)[pairs[:, 1]]
-        slave = np.repeat(pairs[:, 0], length)
-        master = ring[np.repeat(ring_start[pairs[:, 1]] - np.concatenate([[0], np.cumsum(length)[:-1]]), length) + np.arange(length.sum())]
-        gel = np.repeat(self.gel_faces[slave], self.object_faces.shape[1], axis=1).ravel()
-        body = np.tile(self.object_faces[master], (1, self.gel_faces.shape[1])).ravel()
-        return gel, body
+            anchor = self.anchor_face.numpy()
+            held = (anchor >= 0) & near
+            slave, master = np.append(slave, gel_face[held]), np.append(master, anchor[held])
+        touching = sp.csr_matrix((np.ones(len(slave), bool), (slave, master)), shape=(len(self.gel_faces), len(self.object_faces)))
+        gel_nodes, nodes_around = self._incidence
+        coupled = (gel_nodes @ (touching @ nodes_around)).tocoo()
+        return coupled.row, coupled.col
 
-    def _rings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """For every object face the faces that share a vertex with it, itself included, as CSR arrays."""
-        if not hasattr(self, "_ring_cache"):
-            corners = self.object_faces[:, : self.CORNERS]
-            rows = np.repeat(np.arange(len(corners)), self.CORNERS)
-            incidence = sp.csr_matrix((np.ones(rows.size, np.int8), (rows, corners.ravel())))
-            adjacency = (incidence @ incidence.T).tocsr()
-            self._ring_cache = (adjacency.indptr.astype(np.int64), adjacency.indices.astype(np.int64))
-        return self._ring_cache
+    @cached_property
+    def _incidence(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """The gel's nodes against its faces, and the object's faces against the nodes of all faces that share a vertex with them."""
+
+        def incidence(faces: NDArray[np.int32]) -> sp.csr_matrix:
+            rows = np.repeat(np.arange(len(faces)), faces.shape[1])
+            return sp.csr_matrix((np.ones(rows.size, bool), (rows, faces.ravel())))
+
+        corners = incidence(self.object_faces[:, : self.CORNERS])
+        return incidence(self.gel_faces).T.tocsr(), corners @ corners.T @ incidence(self.object_faces)
