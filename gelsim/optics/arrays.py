@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -167,15 +168,19 @@ class DrJitArrays:
         return pairs
 
     def compiled(self, function: Any) -> Any:
-        """Traced once for each shape of its arguments, which are all it may depend on."""
-        frozen = self._dr.freeze(function)
+        """Traced once for each set of lengths of the arrays in its arguments, which are all it may depend on."""
+        # Dr.Jit replays a recording for arrays of other lengths too, with what `len` told the first time.
+        frozen: dict[tuple[int, ...], Any] = {}
 
         def call(*arguments: Any) -> Any:
+            lengths = tuple(_lengths(arguments))
+            if lengths not in frozen:
+                frozen[lengths] = self._dr.freeze(function)
             # While Dr.Jit records, the death of an array that wraps NumPy's memory ends the process: no garbage is collected meanwhile.
             collects = gc.isenabled()
             gc.disable()
             try:
-                return frozen(*arguments)
+                return frozen[lengths](*arguments)
             finally:
                 if collects:
                     gc.enable()
@@ -185,6 +190,15 @@ class DrJitArrays:
     def numpy(self, values: Values) -> np.ndarray:
         # Of LLVM's the memory itself, which lives as long as the view: a copy of a picture costs half a millisecond.
         return np.asarray(values)
+
+
+def _lengths(value: Any) -> Iterator[int]:
+    """Of all arrays in nested tuples, lists and dicts; None has none."""
+    if isinstance(value, dict | list | tuple):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _lengths(part)
+    elif value is not None:
+        yield len(value)
 
 
 def aligned_room(count: int, kind: type = np.float32) -> np.ndarray:

@@ -156,18 +156,11 @@ class BakedRenderer:
     def _compiled(self) -> Any:
         arrays, layout = self._arrays, self._layout
         assert layout is not None
-        floats_a_frame = 4 * layout.columns * layout.rows
-
-        # Dr.Jit replays what it recorded for other sizes of the arguments too, as if the number of frames were still that of the first.
-        compiled: dict[int, Any] = {}
 
         def drawn(tables: dict[str, Any], places: Values, normals: Values, keys: Values | None) -> tuple[Values, Values | None]:
-            frames = len(places) // floats_a_frame
-            if frames not in compiled:
-                compiled[frames] = arrays.compiled(lambda *arguments: draw(arrays, layout, *arguments, frames))  # type: ignore[call-arg]
-            return compiled[frames](tables, places, normals, keys)
+            return draw(arrays, layout, tables, places, normals, keys)
 
-        return drawn
+        return arrays.compiled(drawn)
 
     def _prepare_sensor(self, grid: tuple[int, int], texels: tuple[int, int], pipeline: Pipeline) -> None:
         """What camera, gel, places of the lights and the field's table make."""

@@ -83,8 +83,9 @@ class _Seen:
     """Whether the ray meets no gel."""
 
 
-def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Values, keys: Values | None, frames: int) -> tuple:
+def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Values, keys: Values | None) -> tuple:
     """Red, green, blue and z [m] of every pixel; and, with `keys` of the frames' noise, the 8-bit pictures as `packed_bytes`, else None."""
+    frames = len(places) // (4 * st.columns * st.rows)
     # Over the gel, seen along z: heights, and what light does there.
     horizons = arriving = None
     cells = st.cells[0] * st.cells[1]
