@@ -54,7 +54,7 @@ class Dataset:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.info: dict[str, Any] = read_json(folder / "meta" / "info.json", dict)
+        self.info: dict[str, Any] = read_json(folder / "meta" / "info.json")
         if self.info.get("schema") != SCHEMA:
             raise DatasetError(f"{folder}: its schema is {self.info.get('schema')!r}; this version reads {SCHEMA}")
         self.rows: list[dict[str, Any]] = []
@@ -64,8 +64,8 @@ class Dataset:
             check_row(row, f"{path}: line {number}")
             self.rows.append(row)
         self.failures: list[dict[str, Any]] = list(_json_lines(folder / "meta" / "failures.jsonl"))
-        self.splits: dict[str, list[int]] = read_json(folder / "meta" / "splits.json", dict)
-        self.stats: dict[str, Any] = read_json(folder / "meta" / "stats.json", dict)
+        self.splits: dict[str, list[int]] = read_json(folder / "meta" / "splits.json")
+        self.stats: dict[str, Any] = read_json(folder / "meta" / "stats.json")
         self.positions = {row["index"]: position for position, row in enumerate(self.rows)}
         """Index of an episode (as in `splits`) -> its position in `rows`."""
         if len(self.positions) != len(self.rows):
@@ -384,15 +384,15 @@ def _dumped(value: object, indent: int | None = None) -> bytes:
     return (json.dumps(value, indent=indent, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
-def read_json(path: Path, kind: type) -> Any:
-    """A file of a dataset, bounded in size. Raises DatasetError: it cannot be read, or holds something else."""
+def read_json(path: Path) -> dict[str, Any]:
+    """A table in a dataset's file, bounded in size. Raises DatasetError: it cannot be read, or holds something else."""
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise DatasetError(f"{path}: has {path.stat().st_size} bytes; allowed are {LARGEST_FILE}")
         value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    if not isinstance(value, kind):
+    if not isinstance(value, dict):
         raise DatasetError(f"{path}: holds no table")
     return value
 

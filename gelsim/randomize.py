@@ -155,7 +155,7 @@ def load_plan(name: str) -> Plan:
 def _kept(path: Path) -> Layer:
     """The table of a plan that a dataset keeps."""
     try:
-        return read_json(path, dict)
+        return read_json(path)
     except DatasetError as error:
         raise SceneError(f"--plan {error}") from None
 

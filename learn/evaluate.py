@@ -42,9 +42,9 @@ TITLES = {
     "novel_hardness": "trained shape, novel hardness", "novel_shape": "novel shapes", "robot": "trained samples, robot gripper",
     "vessels": "simple vessels (group 3)", "complicated": "complicated shapes (group 4)", "natural": "natural objects (group 5)",
 }  # fmt: skip
-HARDNESS_BANDS, FORCE_BANDS = (0, 20, 40, 60, 70, 80, 100), (0, 0.5, 1, 2, 5, 10, 1000)
 FIRM_N = 0.5
 """Presses that end at less hardly dent the gel: a row's error is also given without them [N]."""
+HARDNESS_BANDS, FORCE_BANDS = (0, 20, 40, 60, 70, 80, 100), (0, FIRM_N, 1, 2, 5, 10, 1000)
 CHUNK = 64
 """Episodes in memory at once."""
 
@@ -222,12 +222,12 @@ def _row_report(name: str, predictions: list[dict[str, Any]], with_baselines: bo
     report |= scores.errors(true, _column(known, "estimate"), objects)
     report["baselines"] = {other: scores.errors(true, _column(known, other), objects) for other in NAMES} if with_baselines else {}
     report["calibration"] = _calibration(known)
-    firm = [prediction for prediction in known if (prediction["row"]["peak_force_n"] or 0.0) >= FIRM_N]
+    forces = [prediction["row"]["peak_force_n"] for prediction in known]
+    firm = [prediction for prediction, force in zip(known, forces, strict=True) if force is not None and force >= FIRM_N]
     if firm:
         report["firm"] = scores.errors(
             _column(firm, "true"), _column(firm, "estimate"), [prediction["row"]["object"] for prediction in firm]
         )
-        report["firm"]["presses"] = len(firm)
     return report
 
 

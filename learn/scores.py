@@ -123,16 +123,14 @@ def ranking(rows: Sequence[Mapping[str, Any]], estimate: Array) -> dict[str, dic
     """
     found = {}
     for shape in dict.fromkeys(row["shape"] for row in rows):
-        mine = [number for number, row in enumerate(rows) if row["shape"] == shape and _body(row) is not None]
-        objects = list(dict.fromkeys(rows[number]["object"] for number in mine))
-        if len(objects) < 2:
+        mine = [number for number, row in enumerate(rows) if row["shape"] == shape]
+        # Recordings of real objects have one hardness, simulated ones also that of what lies under a skin.
+        hardness = {rows[number]["object"]: rows[number].get("body_shore_00", rows[number]["shore_00"]) for number in mine}
+        body = {name: value for name, value in hardness.items() if value is not None}
+        if len(body) < 2:
             continue
-        means = [np.mean([estimate[number] for number in mine if rows[number]["object"] == name]) for name in objects]
-        true = [next(float(_body(rows[number]) or 0.0) for number in mine if rows[number]["object"] == name) for name in objects]
-        found[shape] = {"objects": len(objects), "presses": len(mine), "spearman": spearman(true, means)}
+        said = {name: [estimate[number] for number in mine if rows[number]["object"] == name] for name in body}
+        means = [np.mean(values) for values in said.values()]
+        presses = sum(map(len, said.values()))
+        found[shape] = {"objects": len(body), "presses": presses, "spearman": spearman(list(body.values()), means)}
     return found
-
-
-def _body(row: Mapping[str, Any]) -> float | None:
-    """Recordings of real objects have one hardness, simulated ones also that of what lies under a skin."""
-    return row.get("body_shore_00", row["shore_00"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -43,9 +42,7 @@ def test_it_reads_flats_of_hardnesses_that_it_never_saw(tmp_path: Path) -> None:
             "320x240",
         ]
         assert gelsim(["render", *flags, "--out", str(out)]) == 0
-        start = time.perf_counter()
         (answer,) = predict(shipped_model("default"), [out], device="cpu")
-        assert time.perf_counter() - start < 5, "seconds, once torch is loaded"
         assert answer["status"] == "ok" and not answer["unlike_training"]
         said[hardness] = answer["shore_00"]
     assert all(abs(said[hardness] - hardness) < 3 * ROW_RMSE for hardness in said), said
