@@ -49,15 +49,18 @@ class Checkpoint:
         """
         with torch.device("meta"):
             network = build(self.config)
-        kinds = {name: tensor.dtype for name, tensor in network.state_dict().items()}
-        wanted = {name: tensor.shape for name, tensor in network.state_dict().items()}
-        found = {name: getattr(tensor, "shape", None) for name, tensor in self.network.items()}
+        wanted, found = ({name: _kind(value) for name, value in state.items()} for state in (network.state_dict(), self.network))
         if wanted != found:
             wrong = next(iter(sorted(set(wanted) ^ set(found)) or [name for name in wanted if wanted[name] != found[name]]))
-            raise LearnError(f"checkpoint: weights {wrong!r} have shape {found.get(wrong)}, the config wants {wanted.get(wrong)}")
-        # Copied, because the tensors become the network's own; a shipped file holds them in half precision.
-        network.load_state_dict({name: tensor.to(kinds[name], copy=True) for name, tensor in self.network.items()}, assign=True)
+            raise LearnError(f"checkpoint: weights {wrong!r} are {found.get(wrong)}, the config wants {wanted.get(wrong)}")
+        # Copied, because the tensors become the network's own.
+        network.load_state_dict({name: tensor.clone() for name, tensor in self.network.items()}, assign=True)
         return network.eval()
+
+
+def _kind(value: Any) -> str:
+    """Shape and type of what should be a tensor, in words."""
+    return f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, torch.Tensor) else type(value).__name__
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:

@@ -156,6 +156,7 @@ def test_damaged_and_foreign_checkpoints_are_refused(tiny_run: Path, tmp_path: P
     refused("model = 'huge'", config=good["config"] | {"model": good["config"]["model"] | {"model": "huge"}})
     refused("section 'train'", config=good["config"] | {"train": {}})
     refused("wants", network=good["network"] | {"head.bias": torch.zeros(3)})
+    refused("of torch.float16, the config wants", network={name: tensor.half() for name, tensor in good["network"].items()})
     refused("wants None", network=good["network"] | {"extra": torch.zeros(3)})
     (tmp_path / "half.pt").write_bytes((tiny_run / "model.pt").read_bytes()[:5000])
     with pytest.raises(LearnError, match="was not loaded"):
