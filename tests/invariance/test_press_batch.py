@@ -15,16 +15,15 @@ from gelsim.fem.batch import Costs, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.newton import NewtonOptions
 from gelsim.fem.problem import PressProblem
+from gelsim.fem.quasistatic import OVERLAP_MM
 from gelsim.materials import gel_material, object_material
 from gelsim.results import Deformation
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene
 
-# Newton leaves 1e-3 of the contact force unbalanced at `fast`, once by itself and once in the batch, and the multipliers take over from a
-# state that is off by more. Found: 1.5e-3 and less, on two fillings.
-SAME = 3e-3
-# The multipliers come from a rough solve, which ends elsewhere; a step may leave OVERLAP_MM = 5 µm either way. Found: 2.4 µm.
-SAME_PLACE = 5e-6
+# The multipliers take over from a rough solve. A press by itself gets there on factors of its own, in a batch on older ones, so the two end
+# elsewhere: a step may leave OVERLAP_MM either way. Found: 2.4 µm.
+SAME_PLACE = OVERLAP_MM * 1e-3
 # What sticks jumps where a point at the contact's edge just touches or just does not: single nodes there may be anywhere between (6.6 µm
 # seen, on one mesh of many), the surface as a whole not. Found: 0.33 µm and less.
 SAME_SURFACE = 1e-6
@@ -46,6 +45,15 @@ def alone(one: Scene) -> Deformation:
     return pipeline.press(one, device="cpu", throw=False)
 
 
+def same_force(one: Deformation, other: Deformation) -> bool:
+    """Within what OVERLAP_MM of approach changes (found: up to half of it), and 1e-3 that Newton leaves unbalanced at `fast`, twice."""
+    stiffness = np.abs(np.diff(one.force, axis=0) / np.diff(one.approach)[:, None]).max()
+    scale = np.abs(one.force).max()
+    allowed = SAME_PLACE * stiffness + 2e-3 * scale
+    assert allowed < 0.015 * scale  # or it would say nothing
+    return bool(np.abs(one.force - other.force).max() < allowed)
+
+
 def test_neighbours_do_not_matter() -> None:
     """Soft and hard, with and without friction, one that stops at a force: each as by itself."""
     scenes = [scene(30.0), scene(600.0), scene(200.0, 0.5), scene(100.0, "stick"), scene(200.0, force_n=0.05)]
@@ -57,7 +65,7 @@ def test_neighbours_do_not_matter() -> None:
         assert scale > 1e-3
         assert press.approach == pytest.approx(single.approach, rel=5e-3)  # a force is met within FORCE_TOLERANCE, 2e-3
         if one.press.force_n is None:
-            assert np.abs(press.force - single.force).max() < SAME * scale
+            assert same_force(single, press)
             apart = np.linalg.norm(press.gel.displacement - single.gel.displacement, axis=2)
             assert np.sqrt(np.mean(apart[-1] ** 2)) < SAME_SURFACE
             assert one.contact.friction_coefficient == "stick" or apart.max() < SAME_PLACE
@@ -77,7 +85,7 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
     assert lost.status is SolveStatus.MAX_ITERATIONS and "press stopped at approach" in lost.message
     assert len(lost.approach) == 1
     assert kept.status is SolveStatus.CONVERGED
-    assert np.abs(kept.force - single.force).max() < SAME * np.abs(single.force).max()
+    assert same_force(single, kept)
 
 
 def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,4 +166,4 @@ def test_what_reduces_to_a_profile_is_not_batched() -> None:
 def test_cuda_gives_the_same() -> None:
     scenes = [scene(30.0), scene(600.0), scene(200.0, 0.5)]
     for press, single in zip(pipeline.press_batch(scenes, device="cuda"), map(alone, scenes), strict=True):
-        assert np.abs(press.force - single.force).max() < SAME * np.abs(single.force).max()
+        assert same_force(single, press)
