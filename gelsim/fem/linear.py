@@ -47,6 +47,7 @@ class PardisoSolver:
     """LDLᵀ by MKL PARDISO. `analyse` once a pattern, `factorise` once a matrix, `solve` once a right-hand side.
 
     `single`: in float32. What goes in and what comes out is float64 either way.
+    Attributes: `cost` of a factorisation, in operations over the entries of matrix and factor.
     """
 
     def __init__(self, threads: int | None = None, single: bool = False) -> None:
@@ -98,7 +99,10 @@ class PardisoSolver:
         """Orders the unknowns for a pattern (upper triangle, CSR). `values` matter for the scaling only."""
         self.release()
         self._indptr, self._indices, self._values = indptr, indices, values.astype(self._dtype)
+        self._iparm[17:19] = -1  # to be counted
         self._call(11)
+        entries, million_operations = self._iparm[17:19].astype(float)
+        self.cost = 1e6 * million_operations / (len(indices) + entries)
         self._analysed = True
 
     def factorise(self, values: NDArray[np.float64]) -> None:
@@ -130,7 +134,7 @@ class PardisoSolver:
 class SuperLUSolver:
     """The same through SciPy, for machines without MKL."""
 
-    name, single, negative = "SciPy SuperLU", False, None
+    name, single, negative, cost = "SciPy SuperLU", False, None, np.inf
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32], values: NDArray[np.float64]) -> None:
         self._indptr, self._indices = indptr, indices
@@ -162,9 +166,9 @@ class SymmetricSystem:
     # factors. On one core, in three dimensions, these cost 20 to 40 products.
     FORCING = 0.03
     WORN = 14
-    # Unknowns below which new factors cost less than the products: the coupled hemisphere's profile at `fast` takes 0.23 s for 0.36, its
-    # quarter (3,359 unknowns) 0.51 for 0.66, the quarter at `balanced` (6,233) the same either way.
-    SMALL = 5000
+    # Operations of a factorisation over the entries that a product and a solve read; where it is lower, new factors cost less than the
+    # products (`python docs/studies/rough_steps.py`).
+    CHEAP = 180.0
     # |b - Kx|/|b| that an answer in float32 may have: 1e-6 to 8e-6 over the stability suite. One matrix of its cone had 9e-5, and Newton
     # took another path from there.
     POOR = 1e-5
@@ -191,10 +195,9 @@ class SymmetricSystem:
         upper = sp.csr_matrix((values, indices, indptr), shape=(len(indptr) - 1,) * 2)
         self._matrix = upper, upper.T, upper.diagonal()
 
-    def factorise(self, values: NDArray[np.float64]) -> None:
-        """Takes a new matrix, and its factors."""
-        self.update(values)
-        self.direct.factorise(values)
+    def factorise(self) -> None:
+        """Makes factors of the last matrix."""
+        self.direct.factorise(self._values)
         self.factorisations += 1
         self.factored = self._fresh = True
         self._worn, self._checked = False, not self.direct.single
@@ -222,17 +225,18 @@ class SymmetricSystem:
         indices, indptr = self._pattern
         self.direct = make_solver()
         self.direct.analyse(indptr, indices, self._values)
-        self.factorise(self._values)
+        self.factorise()
         return self._direct(b)
 
     def step(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None, exact: bool) -> NDArray[np.float64]:
         """x of the last K as Newton needs it: roughly, by GMRES on factors of an earlier K, or as `solve` on new ones.
 
-        New ones are made where there are none, where the last step wore them out, where GMRES falls short, and where `exact` asks for it.
+        New ones are made where there are none, where they are cheap, where the last step wore them out, where GMRES falls short, and where
+        `exact` asks for it.
         """
         if self._fresh:
             return self.solve(b, coupling)
-        if self.factored and not self._worn and not exact and len(b) >= self.SMALL:
+        if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
             before, start = self.solves, self.direct.solve(b)
 
             def preconditioned(v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -245,7 +249,7 @@ class SymmetricSystem:
             self._worn = self.solves - before > self.WORN
             if not failed:
                 return x
-        self.factorise(self._values)
+        self.factorise()
         if exact:
             self._convexify()
         return self.solve(b, coupling)
@@ -265,7 +269,8 @@ class SymmetricSystem:
                 return
             shifted = values.copy()
             shifted[diagonal] += share * np.abs(values[diagonal])
-            self.factorise(shifted)
+            self.update(shifted)
+            self.factorise()
 
     def solve(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""

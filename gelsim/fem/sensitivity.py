@@ -72,7 +72,8 @@ class Adjoint:
         self.solves = 0
         newton, solids, contact = problem.newton, problem.solids, problem.contact
         newton.residual(reach=1.0)
-        newton.system.factorise(newton.tangent(geometric=True))
+        newton.system.update(newton.tangent(geometric=True))
+        newton.system.factorise()
 
         # the tangent with the driven nodes as unknowns, and their unit motion: a millimetre of approach
         free = solids.free.copy()

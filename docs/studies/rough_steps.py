@@ -1,0 +1,52 @@
+"""When is a new factorisation cheaper than GMRES's products on an old one? (gelsim/fem/linear.py, `SymmetricSystem.CHEAP`)
+
+    python docs/studies/rough_steps.py
+
+Presses a coupled ball with friction, as profile, quarter and whole, once with products as far as they serve, once with factors for
+every step. Prints operations of a factorisation over the entries of matrix and factor, and seconds of processor time, the better of two.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from gelsim import pipeline
+from gelsim.fem import newton
+from gelsim.fem.linear import SymmetricSystem
+from gelsim.scene_file import build_scene
+
+CASES = [("fast", "auto"), ("balanced", "auto"), ("reference", "auto"), ("fast", "mirror"), ("balanced", "mirror"), ("fast", "none")]
+
+seen: list[SymmetricSystem] = []
+
+
+class Watched(SymmetricSystem):
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)  # type: ignore[arg-type]
+        seen.append(self)
+
+
+newton.SymmetricSystem = Watched  # type: ignore[misc]
+
+print("| scene | unknowns | operations over entries | products: s, factorisations | factors: s, factorisations |\n|---|---|---|---|---|")
+for fidelity, symmetry in CASES:
+    scene = build_scene(
+        {
+            "fidelity": fidelity,
+            "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0},
+            "object": {"shape": "hemisphere", "radius_mm": 5.0, "youngs_modulus_kpa": 200.0},
+            "contact": {"friction_coefficient": 0.3},
+            "press": {"depth_mm": 1.0, "force_n": "none", "frames": 10, "symmetry": symmetry},
+        }
+    )
+    press, cells = pipeline.press(scene, device="cpu"), []  # kernels and meshes
+    for bound in (0.0, math.inf):
+        SymmetricSystem.CHEAP = bound
+        seconds = []
+        for _ in range(2):
+            start = time.process_time()
+            press = pipeline.press(scene, device="cpu")
+            seconds.append(time.process_time() - start)
+        cells.append(f"{min(seconds):.2f}, {press.info['factorisations']}")
+    print(f"| {fidelity}, {symmetry} | {press.info['unknowns']} | {seen[-1].direct.cost:.0f} | {' | '.join(cells)} |", flush=True)
