@@ -219,6 +219,8 @@ class _Batch:
     def residual(self) -> _Residual:
         """Contact and equations of all scenes at their present states."""
         with self._stage("residual"):
+            freeze = (self.iteration >= FREEZE_AFTER) | (self.limit == 0)
+            self.contact.overhang.assign(np.where(freeze, FROZEN, OVERHANG))
             self._replay("residual", self._residual)
             unbalanced, external, internal, volume, turned, broken = self.sizes.numpy().copy().T
         scale = np.maximum(np.maximum(external, internal * 1e-3), 1e-9)
@@ -259,10 +261,7 @@ class _Batch:
         if poor.any():
             self._factorise(poor)
             self._solve(poor)
-        freeze = self.iteration >= FREEZE_AFTER
-        self.contact.overhang.assign(np.where(freeze, FROZEN, OVERHANG))
         after = self._line_search(active, residual)
-        self.contact.overhang.fill_(OVERHANG)
         self.iteration[active] += 1
         return after
 

@@ -64,6 +64,22 @@ _SUB_CORNERS = np.array(
 # Arrays of SurfaceContact with an entry a point that change, and that do not (stiffnesses: an entry a face).
 _STATE = ("face", "xi", "normal", "gap", "pressure", "traction", "shift", "anchor_face", "anchor_xi", "multiplier")
 _CONSTANTS = ("weight", "stiffness", "stick")
+_PLACES = ("face", "xi", "gap", "anchor_face", "anchor_xi")  # of a ContactState
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Pairs, friction's history and what carries the load, to return to; an entry a point but for `multipliers`."""
+
+    face: NDArray[np.int32]
+    xi: Array
+    gap: Array
+    anchor_face: NDArray[np.int32]
+    anchor_xi: Array
+    multipliers: Array
+    """(V, 4), at the gel's face vertices."""
+    kept: Array
+    """(P, 3)."""
 
 
 @dataclass(frozen=True)
@@ -310,8 +326,9 @@ class SurfaceContact:
         """
         self.augment()
         if self.frictional:
-            self.kept = self.traction.numpy() - self._at_points(self.multipliers[:, 1:])
-            self.set_multipliers(self.multipliers)
+            traction = self.traction.numpy()
+            self.kept = traction - self._at_points(self.multipliers[:, 1:])
+            self.shift.assign(-traction)
         self.anchor_face.assign(self.face)
         self.anchor_xi.assign(self.xi)
 
@@ -357,16 +374,16 @@ class SurfaceContact:
         for array, kept in zip((self.face, self.xi, self.gap), pairing, strict=True):
             wp.copy(array, kept)
 
-    def save(self) -> tuple[Array, ...]:
-        """Pairs, friction history, multipliers and what points keep beyond them, to return to when a step is halved."""
-        places = self.face, self.xi, self.gap, self.anchor_face, self.anchor_xi
-        return *(array.numpy().copy() for array in places), self.multipliers, self.kept
+    def save(self) -> ContactState:
+        """The present state, to return to when a step is halved."""
+        places = {name: getattr(self, name).numpy().copy() for name in _PLACES}
+        return ContactState(**places, multipliers=self.multipliers, kept=self.kept)
 
-    def restore(self, history: tuple[Array, ...]) -> None:
-        *places, multipliers, self.kept = history
-        for array, kept in zip((self.face, self.xi, self.gap, self.anchor_face, self.anchor_xi), places, strict=True):
-            array.assign(kept)
-        self.set_multipliers(multipliers)
+    def restore(self, state: ContactState) -> None:
+        for name in _PLACES:
+            getattr(self, name).assign(getattr(state, name))
+        self.kept = state.kept
+        self.set_multipliers(state.multipliers)
 
     def forget(self) -> None:
         """No history, no multipliers, no pairs: as it was made."""

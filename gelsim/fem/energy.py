@@ -10,7 +10,7 @@ so drift = (W - E - D - C)/W is zero but for the size of the load steps and Newt
 monotone cubics through the load steps (for a power law of 1.2 to 2.5 and five steps within 0.1 %). With "stick", D is what friction's own
 penalty gives way.
 
-Left out: slip of points in the step in which they first touch, which the contact law does not hold either.
+A point that touches for the first time counts its slip since the step began, as the contact law does: long load steps make D too large.
 """
 
 from __future__ import annotations

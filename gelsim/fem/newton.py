@@ -157,7 +157,8 @@ class Newton:
     def solve(self, reach: float, tolerance: float | None = None, solve: bool = True) -> NewtonReport:
         """Iterates from the solids' present state, in place, to `tolerance` (default: the options').
 
-        `reach` [mm] bounds the search for contact. Without `solve` only contact and forces of the present state are found.
+        `reach` [mm] bounds the search for contact. Without `solve` only forces of the present state are found, and pairs of the points that
+        have none.
         """
         before = self.system.factorisations
         status, iterations, residual = self._iterate(
@@ -169,7 +170,7 @@ class Newton:
     def _iterate(self, reach: float, goal: float, limit: int) -> tuple[SolveStatus, int, Residual]:
         """Newton's iterations; why they ended, how many there were, and where."""
         solids, contact = self.solids, self.contact
-        residual = self.residual(reach)
+        residual = self.residual(reach, freeze=limit == 0)
         before = np.inf
         for iteration in range(limit + 1):
             size = residual.size

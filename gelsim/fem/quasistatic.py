@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveError, SolveStatus
+from gelsim.fem.contact import ContactState
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
@@ -44,7 +45,7 @@ FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over
 
 @dataclass(frozen=True)
 class Request:
-    """What a march asks for: the equilibrium from the solids' present state, or with `solve` False only its contact and forces."""
+    """What a march asks for: the equilibrium from the solids' present state, or with `solve` False forces for its pairs."""
 
     reach: float
     """[mm] Bounds the search for contact."""
@@ -124,10 +125,9 @@ class _State:
     approach: float
     fields: tuple[Array, Array]
     """Displacement and pressure of the solids."""
-    contact: tuple[Array, ...]
-    """Of the contact, as `SurfaceContact.save` has it."""
-    multipliers: Array
-    """Of the contact."""
+    contact: ContactState
+    seconds: float
+    """Of the step that led here from the state that the solids remember; 0 where they remember this one."""
 
 
 class _March:
@@ -147,11 +147,10 @@ class _March:
         yield Request(1.0, solve=False)  # first touch
         self._settle()
         self._keep(states, progress)
-        step, easy = spacing, 0
+        step, easy, here = spacing, 0, self._state(0.0)
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
-            here = self._state(self.approach)
             if not (yield from self._attempt(here, new)):
                 step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > MOST_WASTED:
@@ -164,7 +163,7 @@ class _March:
                 self.stopped = True
             self.energy.step(new)
             self._settle()
-            self._previous, self.approach, self.normal_force = here, new, force
+            self.approach, self.normal_force, self._previous, here = new, force, here, self._state(new)
             easy += 1
             if easy >= 2 and step < spacing:
                 step, easy = min(2 * step, spacing), 0
@@ -176,10 +175,9 @@ class _March:
     def _hold(self, memory: Memory, progress: Progress | None) -> Marching:
         """Lets the solids relax where the press ended, in steps of time that grow from a part of the shortest one; records the end."""
         left, step = self.press.hold_s, FIRST_HOLD_STEP * float(memory.times[memory.shares > 0.0].min())
-        smallest = SMALLEST_STEP * step
+        smallest, here = SMALLEST_STEP * step, self._state(self.approach)
         while left > 1e-9 * self.press.hold_s:
             step = min(step, left)
-            here = self._state(self.approach)
             if not (yield from self._attempt(here, self.approach, step)):
                 step, self.halved = step / 2, self.halved + 1
                 if step < smallest:
@@ -187,7 +185,7 @@ class _March:
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""
             self._settle()
-            left, step = left - step, HOLD_STEP_GROWTH * step
+            left, step, here = left - step, HOLD_STEP_GROWTH * step, self._state(self.approach)
         self._keep(len(self.recorder.approach) + 1, progress)
 
     def _settle(self) -> None:
@@ -208,7 +206,7 @@ class _March:
         contact = problem.contact
         self._predict(here, new)
         if problem.memory is not None:
-            problem.memory.begin(seconds or (new - here.approach) * MM / self.press.speed_mm_s)
+            problem.memory.begin(seconds or self._seconds(here, new))
         reach = 1.0 + 2 * (new - here.approach) * MM
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)
@@ -230,13 +228,19 @@ class _March:
         yield from self._return_to(here, reach)
         return False
 
-    def _state(self, approach: float) -> _State:
+    def _seconds(self, here: _State, new: float) -> float:
+        """What the travel to approach `new` [m] takes."""
+        return (new - here.approach) * MM / self.press.speed_mm_s
+
+    def _state(self, approach: float, seconds: float = 0.0) -> _State:
         """The present one, to return to."""
-        return _State(approach, self.problem.solids.state(), self.problem.contact.save(), self.problem.contact.multipliers)
+        return _State(approach, self.problem.solids.state(), self.problem.contact.save(), seconds)
 
     def _return_to(self, state: _State, reach: float) -> Marching:
         self.problem.solids.set_state(state.fields)
         self.problem.contact.restore(state.contact)
+        if self.problem.memory is not None:
+            self.problem.memory.begin(state.seconds)
         yield Request(reach, solve=False)
 
     def _count(self, report: NewtonReport) -> None:
@@ -247,11 +251,12 @@ class _March:
         """Extrapolates the solids and the multipliers; the driven nodes go exactly where they must."""
         problem = self.problem
         displacement, pressure = here.fields[0].copy(), here.fields[1].copy()
+        multipliers = here.contact.multipliers
         if self._previous is not None:
             ratio = (new - here.approach) / (here.approach - self._previous.approach)
             displacement += ratio * (here.fields[0] - self._previous.fields[0])
             pressure += ratio * (here.fields[1] - self._previous.fields[1])
-            problem.contact.set_multipliers(here.multipliers + ratio * (here.multipliers - self._previous.multipliers))
+            problem.contact.set_multipliers(multipliers + ratio * (multipliers - self._previous.contact.multipliers))
         else:
             nodes = problem.object_nodes
             displacement[nodes] += self._motion(nodes, new) - self._motion(nodes, here.approach)
@@ -273,7 +278,7 @@ class _March:
         wanted = self.press.force_n
         assert wanted is not None
         low, high = (here.approach, self.normal_force), (new, force)
-        beyond = self._state(new)
+        beyond = self._state(new, self._seconds(here, new))
         while abs(force - wanted) > FORCE_TOLERANCE * wanted and high[0] - low[0] > 1e-9:
             fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
             new = low[0] + float(fraction) * (high[0] - low[0])
@@ -281,7 +286,7 @@ class _March:
                 break  # a longer step converged: keep to that, a little beyond the force
             force = -self.problem.contact_force()[2]
             if force > wanted:
-                high, beyond = (new, force), self._state(new)
+                high, beyond = (new, force), self._state(new, self._seconds(here, new))
             else:
                 low = new, force
         else:

@@ -104,7 +104,6 @@ class Memory:
         self._gradients = wp.array(quadrature.gradients, dtype=wp.vec3d, device=device)
         self._weights = wp.array(quadrature.weights, dtype=wp.float64, device=device)
         self._history = wp.zeros(quadrature.weights.shape, dtype=wp.mat33d, device=device)
-        self._step = np.inf
         self.forget()
 
     def forget(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fem_fixtures import Array, box_mesh, cap_scene, equilibrium, flat_gel, problem_of, residual_of, soft_cap, solids_of, solved, tangent_of
 
-from gelsim.fem import reference
+from gelsim.fem import quasistatic, reference
 from gelsim.fem.assembly import Solids
 from gelsim.fem.viscoelastic import Memory, isochoric_stress, prony_arrays
 from gelsim.geometry import TetMesh, quadratic_tets
@@ -234,3 +234,32 @@ def test_a_press_relaxes_from_the_fast_to_the_slow_force() -> None:
     assert -slow.force[1:, 2] == pytest.approx(0.7 * force[1:], rel=6e-3)
     assert -fast.force[4, 2] == pytest.approx(0.7 * force[3], rel=6e-3)
     assert fast.approach[4] == fast.approach[3]
+
+
+def test_what_a_failed_search_for_the_force_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A press that keeps to a step beyond its force remembers that step, not the shorter one that it tried last."""
+    scene = viscous_cap(0.5)
+    scene = scene.replace(press=replace(scene.press, force_n=1e-3))
+    monkeypatch.setattr(quasistatic, "FORCE_TOLERANCE", 1e9)  # takes what it finds
+    wanted, taken = solved(problem_of(scene, flat_gel(0.7, 2.1), soft_cap()))
+    monkeypatch.undo()
+
+    attempt, tried = quasistatic._March._attempt, []
+
+    def fails_in_the_search(march: quasistatic._March, here: quasistatic._State, new: float, seconds: float = 0.0):  # type: ignore[no-untyped-def]
+        if (yield from attempt(march, here, new, seconds)) and not tried:
+            tried.append(new)
+            return True
+        tried.append(new)
+        yield from march._return_to(here, 2.0)
+        return False
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", fails_in_the_search)
+    kept_problem, kept = solved(problem_of(scene, flat_gel(0.7, 2.1), soft_cap()))
+    assert len(tried) == 2 and tried[1] < 0.8 * tried[0]
+    assert kept.approach == pytest.approx(taken.approach)
+    # the same equations to Newton's tolerance
+    assert kept.force == pytest.approx(taken.force, rel=1e-4, abs=1e-9)
+    assert wanted.memory is not None and kept_problem.memory is not None
+    apart = np.abs(kept_problem.memory.branches - wanted.memory.branches).max()
+    assert apart <= 1e-3 * np.abs(wanted.memory.branches).max()
