@@ -75,8 +75,7 @@ def solve_press(
 
     best: Deformation | None = None
     for points in CONTACT_POINTS:
-        # a GPU's solver does not tell a saddle from a minimum (newton.py): what fails there is tried again where that is known
-        name = "cuda:0" if device == "cuda" and points == CONTACT_POINTS[0] else "cpu"
+        name = "cuda:0" if device == "cuda" else "cpu"
         tried = _tried(scene, points)
         bodies = tried, gel, body, placement, gel_material, object_material, name
         problem = PressProblem(*bodies, part_materials=part_materials, contact_points=points, held=_held(points))

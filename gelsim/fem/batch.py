@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids
-from gelsim.fem.batch_kernels import LANES, balance, largest, move, positions, work
+from gelsim.fem.batch_kernels import LANES, balance, largest, move, positions, stiffen, work
 from gelsim.fem.contact import FROZEN, OVERHANG, SurfaceContact
 from gelsim.fem.krylov import BatchedGmres, multiply
-from gelsim.fem.linear import BatchedSystem, single_threaded_blas
+from gelsim.fem.linear import SHIFTS, BatchedSystem, single_threaded_blas
 from gelsim.fem.newton import (
     FREEZE_AFTER,
     GEOMETRIC_BELOW,
@@ -144,7 +144,7 @@ class _Batch:
         self.start_p, self.volume = (wp.zeros(total, dtype=wp.float64, device=device) for _ in range(2))
         length = self.count * self.unknowns
         self.equations, self.step = (wp.zeros(length, dtype=wp.float64, device=device) for _ in range(2))
-        self.fraction = wp.zeros(self.count, dtype=wp.float64, device=device)
+        self.fraction, self.share = (wp.zeros(self.count, dtype=wp.float64, device=device) for _ in range(2))
         self.total = wp.zeros(self.count * LANES, dtype=wp.float64, device=device)
         self.lane_sizes, self.sizes = (wp.zeros((k, 6), dtype=wp.float64, device=device) for k in (self.count * LANES, self.count))
         self._graphs: dict[str, object] = {}
@@ -154,6 +154,7 @@ class _Batch:
         self.goal, self.before = np.full(self.count, np.inf), np.full(self.count, np.inf)
         self.iteration, self.limit = np.zeros(self.count, int), np.zeros(self.count, int)
         self.factorisations = np.zeros(self.count, int)
+        self.exact_after = np.array([problem.options.exact_after for problem in problems])
         self.inverted = np.zeros(self.count, bool)
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
@@ -257,6 +258,7 @@ class _Batch:
         # a scene that does not get there soon goes on with steps of its own factors, solved to the end
         self.old |= self.iteration >= FREEZE_AFTER
         self._factorise(active & (self.old | ~self.system.factored))
+        self._convexify(active & (self.iteration >= self.exact_after))
         poor = self._solve(active)
         if poor.any():
             self._factorise(poor)
@@ -286,6 +288,25 @@ class _Batch:
             self.factorisations[wanted] += 1
             self.old[wanted] = False
 
+    def _convexify(self, wanted: Mask) -> None:
+        """linear.SymmetricSystem._convexify of the wanted scenes, whose factors are of the present matrices."""
+        saddle = wanted & self._at_saddle() if wanted.any() else wanted
+        if not saddle.any():
+            return
+        original, entries = wp.clone(self.values), len(self.values) // self.count
+        for share in SHIFTS:
+            self.share.assign(np.where(saddle, share, 0.0))
+            inputs = [original, self._stiff, entries, self.share, self.values]
+            wp.launch(stiffen, (self.count, len(self._stiff)), inputs, device=self.solids.device)
+            self._factorise(saddle)
+            saddle &= self._at_saddle()
+            if not saddle.any():
+                return
+
+    def _at_saddle(self) -> Mask:
+        negative = self.system.negative
+        return np.zeros(self.count, bool) if negative is None else negative > self._single.free[:, 3].sum()
+
     def _solve(self, wanted: Mask) -> Mask:
         """Steps of the wanted scenes; returns those whose factors were of no use."""
         forcing = np.where(self.iteration < FREEZE_AFTER, FORCING, EXACT)
@@ -313,6 +334,9 @@ class _Batch:
         self.system.analyse(self.pattern.indptr, self.pattern.indices)
         device = self.solids.device
         self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))
+        single = self._single
+        displacements = single.equation[:, :3][single.free[:, :3]]
+        self._stiff = wp.array(self.pattern.indptr[displacements], dtype=wp.int32, device=device)
         if self.costs is not None:
             self.costs.unknowns, self.costs.matrix_entries = self.unknowns, len(self.pattern.indices)
             self.costs.factor_entries = self.system.factor_entries

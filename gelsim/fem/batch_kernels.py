@@ -111,3 +111,14 @@ def work(
                 sum += residual[e] * step[e]
         k += lanes
     total[lane] = sum
+
+
+@wp.kernel(enable_backward=False)
+def stiffen(
+    original: wp.array(dtype=wp.float64), diagonal: wp.array(dtype=wp.int32), entries: wp.int32, share: wp.array(dtype=wp.float64),
+    values: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Values of the original matrices with some of their diagonal greater by a share of itself, a share each scene."""
+    scene, k = wp.tid()
+    i = scene * entries + diagonal[k]
+    values[i] = original[i] + share[scene] * wp.abs(original[i])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 # cudss.h and cudss_data_types.h of version 0.8 and 1.0; 32-bit indices and 64-bit reals by CUDA's library_types.h
 _PIVOT_TYPE, _UBATCH_SIZE, _PIVOT_NONE = 7, 18, 1
-_LU_NNZ, _UBATCH_MASK = 1, 25
+_LU_NNZ, _INERTIA, _UBATCH_MASK = 1, 3, 25
 _ANALYSIS, _FACTORIZATION, _REFACTORIZATION, _SOLVE = 3, 4, 8, 1008
 _REAL_64, _INT_32 = 1, 10
 _SYMMETRIC, _UPPER, _BASE_ZERO, _COLUMN_MAJOR = 1, 2, 0, 0
@@ -81,9 +81,7 @@ class CudssBatch:
         self._point(values, vector, vector)
         self._execute(_ANALYSIS)
         self._factored = False
-        entries, written = c_int64(0), c_size_t(0)
-        self._call("cudssDataGet", self._handle, self._data, c_int(_LU_NNZ), ctypes.byref(entries), c_size_t(8), ctypes.byref(written))
-        self.factor_entries = int(entries.value)
+        self.factor_entries = int(self._get(_LU_NNZ, 1, np.int64)[0])
 
     def factorise(self, values: wp.array, which: NDArray[np.bool_]) -> None:
         self._values = values
@@ -91,6 +89,11 @@ class CudssBatch:
         self._call("cudssMatrixSetValues", self._matrix, c_void_p(values.ptr))
         self._execute(_REFACTORIZATION if self._factored else _FACTORIZATION)
         self._factored = True
+
+    @property
+    def negative(self) -> NDArray[np.integer] | None:
+        """Negative eigenvalues of each matrix's last factors; None of several matrices, of which cuDSS does not tell each one's."""
+        return self._get(_INERTIA, 2, np.int32)[1:] if self.count == 1 else None
 
     def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
         self._select(which)
@@ -105,6 +108,12 @@ class CudssBatch:
     def _point(self, values: wp.array, b: wp.array, x: wp.array) -> None:
         for matrix, array in ((self._matrix, values), (self._right, b), (self._left, x)):
             self._call("cudssMatrixSetValues", matrix, c_void_p(array.ptr))
+
+    def _get(self, parameter: int, length: int, dtype: type) -> NDArray[np.integer]:
+        found, written = np.zeros(length, dtype), c_size_t(0)
+        self._call("cudssDataGet", self._handle, self._data, c_int(parameter), c_void_p(found.ctypes.data), c_size_t(found.nbytes),
+                   ctypes.byref(written))  # fmt: skip
+        return found
 
     def _set(self, parameter: int, value: int) -> None:
         self._call("cudssConfigSet", self._config, c_int(parameter), ctypes.byref(c_int(value)), c_size_t(4))

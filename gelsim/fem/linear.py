@@ -33,6 +33,9 @@ from threadpoolctl import ThreadpoolController
 
 _MTYPE_SYMMETRIC_INDEFINITE = -2
 
+SHIFTS = (1e-3, 8e-3, 0.06, 0.5)
+"""Shares of their diagonal by which displacements are made stiffer where the matrix is not that of a minimum, one after the other."""
+
 
 def find_mkl() -> str | None:
     """Path or name of MKL's single dynamic library, or None."""
@@ -173,8 +176,6 @@ class SymmetricSystem:
     # took another path from there.
     POOR = 1e-5
     REFINEMENTS = 3
-    # Shares of their diagonal by which displacements are made stiffer where the matrix is not that of a minimum, one after the other.
-    SHIFTS = (1e-3, 8e-3, 0.06, 0.5)
 
     def __init__(self, positive: NDArray[np.bool_] | None = None) -> None:
         self.positive = positive
@@ -264,7 +265,7 @@ class SymmetricSystem:
             return
         others = int((~self.positive).sum())
         values, diagonal = self._values, self._pattern[1][:-1][self.positive]
-        for share in self.SHIFTS:
+        for share in SHIFTS:
             if self.direct.negative <= others:
                 return
             shifted = values.copy()
@@ -325,6 +326,14 @@ class BatchedSystem:
         parts = values.numpy().reshape(self.count, -1)
         for one in np.flatnonzero(which):
             self._direct[one].factorise(parts[one].copy())
+
+    @property
+    def negative(self) -> NDArray[np.integer] | None:
+        """Negative eigenvalues of each system's last factors, None where they are not known."""
+        if self._cudss is not None:
+            return self._cudss.negative
+        found = [direct.negative for direct in self._direct]
+        return None if None in found else np.array(found)
 
     def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
         """Writes the solutions of the systems `which` into x; leaves the others' places alone."""

@@ -11,8 +11,9 @@ import pytest
 from gelsim import pipeline
 from gelsim.errors import SolveStatus
 from gelsim.fem import solve_batch
-from gelsim.fem.batch import Costs, run_batch
+from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
+from gelsim.fem.linear import SHIFTS, find_mkl
 from gelsim.fem.newton import NewtonOptions
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import OVERLAP_MM
@@ -111,6 +112,35 @@ def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.
     assert ["friction coefficient of 10" in str(press.info.get("warnings")) for press in presses] == [False, True, False]
     assert all(press.status is SolveStatus.CONVERGED for press in presses)
     assert told == [(3, 3), (3, 3)]
+
+
+@pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
+def test_a_saddle_is_made_stiffer() -> None:
+    """A scene whose matrix has a negative eigenvalue too many gets stiffer displacements until it has none; its neighbours do not."""
+    one = scene(200.0)
+    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
+    batch = _Batch(problems, None)
+    batch.residual()
+    batch._assemble(np.ones(2, bool))
+    both = np.ones(2, bool)
+    batch._factorise(both)
+    batch._convexify(both)
+    assert (batch.factorisations == 1).all(), "at rest a body is at a minimum"
+
+    rows = batch.values.numpy().reshape(2, -1)
+    stiff = batch._stiff.numpy()
+    assert (rows[0, stiff] > 0).all() and len(stiff) == batch._single.free[:, :3].sum()
+    turned = rows.copy()
+    turned[1, stiff[7]] = -1e-2 * rows[1, stiff].max()  # a shift takes its share of the size, so no shift of up to a half turns this
+    batch.values.assign(turned.ravel())
+    batch._factorise(both)
+    batch._convexify(both)
+    after = batch.values.numpy().reshape(2, -1)
+    assert (after[0] == turned[0]).all()
+    assert after[1, stiff] == pytest.approx(turned[1, stiff] + SHIFTS[-1] * np.abs(turned[1, stiff]))
+    others = np.setdiff1d(np.arange(after.shape[1]), stiff)
+    assert (after[1, others] == turned[1, others]).all()
+    assert batch.factorisations.tolist() == [2, 2 + len(SHIFTS)]
 
 
 def test_scenes_of_other_meshes_are_told_apart() -> None:
