@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import os
 import shutil
 import zipfile
 from collections.abc import Callable, Sequence
@@ -19,10 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock
 from numpy.typing import NDArray
 
 from gelsim.dataset import Dataset, lit, load_dataset
 from gelsim.errors import DatasetError, GelsimError
+from gelsim.files import whole_file
 from gelsim.results import Episode
 from gelsim.workers import Handful, LocalCrew, work_through
 from learn.config import InputConfig
@@ -196,46 +197,67 @@ def _cached(
     sizes = [(dataset.folder / row["file"]).stat().st_size for row in rows if (dataset.folder / row["file"]).is_file()]
     identity = json.dumps([_CACHE_VERSION, rows, sizes, inputs.picture, inputs.deadband_levels, NAMES, *drawn], sort_keys=True)
     home = cache / hashlib.sha256(identity.encode()).hexdigest()[:16]
-    if (home / "pictures.npy").is_file():
-        try:
-            with np.load(home / "arrays.npz", allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), arrays
-        except (OSError, ValueError, zipfile.BadZipFile):
-            shutil.rmtree(home)
+    whole = _load(home / "arrays.npz")
+    if whole is None:
+        cache.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{home}.lock"):  # of several runs that begin at once one reads, the others wait; it goes with the run that dies
+            whole = _load(home / "arrays.npz") or _filled(home, dataset, begins, shape, inputs, progress, workers, plan, device)
+    return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), whole
+
+
+def _filled(
+    home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, progress: Progress | None,
+    workers: int, plan: str | None, device: str,
+) -> dict[str, NDArray[Any]]:  # fmt: skip
+    """Fills a cache, or what a run that died left of it: pictures into one file, the rest a handful a file until all are there."""
+    rows = dataset.rows
     light, gpus = _light(dataset, rows, plan, device, progress)  # before there is anything to leave behind
-    partial = home.with_name(f"{home.name}-{os.getpid()}.partial")
-    partial.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(home, ignore_errors=True)  # damaged
+    partial = home.with_suffix(".partial")
+    partial.mkdir(exist_ok=True)
     target = partial / "pictures.npy"
-    pictures = np.lib.format.open_memmap(target, mode="w+", dtype=np.uint16, shape=shape)
+    if not target.is_file():
+        with whole_file(target) as path:
+            np.lib.format.open_memmap(path, mode="w+", dtype=np.uint16, shape=shape)
+    pictures = np.lib.format.open_memmap(target, mode="r+")
     handfuls = _handfuls(rows)
-    found: dict[Handful, dict[str, NDArray[Any]]] = {}
+    found = {handful: part for handful in handfuls if (part := _load(partial / f"{handful[0]}.npz")) is not None}
 
     def told(handful: Handful, part: dict[str, NDArray[Any]]) -> None:
         found[handful] = part
+        with whole_file(partial / f"{handful[0]}.npz") as path, path.open("wb") as file:
+            np.savez(file, allow_pickle=False, **part)
         if progress:
-            progress("drawing presses" if dark else "reading presses", sum(map(len, found)), len(rows))
+            progress("reading presses" if light is None else "drawing presses", sum(map(len, found)), len(rows))
 
+    left = [handful for handful in handfuls if handful not in found]
     if workers < 2:
         read = _Reader(dataset, rows, begins, inputs, pictures, light)
-        for handful in handfuls:
+        for handful in left:
             told(handful, read(handful))
     else:
         # Fresh processes of one core each: they load neither torch nor what this one has in memory.
         arguments = (dataset.folder, inputs, target, light)
-        for handful, part in work_through(handfuls, LocalCrew(workers, gpus=gpus), _make_worker, arguments, _lost):
+        for handful, part in work_through(left, LocalCrew(workers, gpus=gpus), _make_worker, arguments, _lost):
             if isinstance(part, str):
                 raise DatasetError(part)
             told(handful, part)
     arrays = _join([found[handful] for handful in handfuls])
-    np.savez(partial / "arrays.npz", allow_pickle=False, **arrays)
-    assert isinstance(pictures, np.memmap)
     pictures.flush()
+    np.savez(partial / "arrays.npz", allow_pickle=False, **arrays)
+    for handful in handfuls:
+        (partial / f"{handful[0]}.npz").unlink()
+    partial.rename(home)
+    return arrays
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]] | None:
+    """Arrays of a file; None where it is not there or not whole."""
     try:
-        partial.rename(home)
-    except OSError:  # another run was faster
-        shutil.rmtree(partial)
-    return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), arrays
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return None
 
 
 @dataclass(frozen=True)

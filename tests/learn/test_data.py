@@ -11,6 +11,7 @@ import torch
 from conftest import TINY
 
 from gelsim.dataset import load_dataset
+from learn import recordings
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import LearnError, configure
 from learn.data import Batch, choose, collate, sides
@@ -88,7 +89,39 @@ def test_the_cache_gives_what_memory_gives(fake_data: Path, part: Archive, tmp_p
             assert np.array_equal(a.pictures, b.pictures) and np.array_equal(a.background, b.background) and a.noise == b.noise
             assert np.array_equal(part.features[number], cached.features[number])
     archive(dataset, indices[:3], CONFIG.input, tmp_path)  # another choice of the same dataset reads nothing anew
-    assert len(list(tmp_path.iterdir())) == 1
+    assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_cache_that_was_interrupted_goes_on(
+    fake_data: Path, part: Archive, tmp_path: Path, workers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was read before the end of a run is not read again; half a file counts for nothing."""
+    dataset = load_dataset(fake_data)
+    indices = [row["index"] for row in dataset.rows]
+    told: list[int] = []
+
+    def stop(what: str, done: int, count: int) -> None:
+        told.append(done)
+        if len(told) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(recordings, "_AT_ONCE", 2)
+    with pytest.raises(KeyboardInterrupt):
+        archive(dataset, indices, CONFIG.input, tmp_path, stop, workers)
+    (half,) = tmp_path.glob("*.partial")
+    done = sorted(half.glob("[0-9]*.npz"))
+    assert len(done) == 3 < len(dataset.rows) / 2
+    done[0].write_bytes(done[0].read_bytes()[:100])
+
+    again: list[int] = []
+    cached = archive(dataset, indices, CONFIG.input, tmp_path, lambda what, done, count: again.append(done), workers)
+    assert again[0] > again[-1] - len(dataset.rows) and len(again) <= (len(dataset.rows) + 1) // 2 - 2
+    whole = archive(dataset, indices, CONFIG.input)
+    for number in range(len(whole)):
+        assert np.array_equal(whole.stored(number), cached.stored(number))
+        assert np.array_equal(whole.features[number], cached.features[number])
+    assert not list(tmp_path.glob("*.partial")) and len(list(tmp_path.glob("*/*"))) == 2
 
 
 def test_padding_is_zero_and_lengths_say_so(part: Archive) -> None:
