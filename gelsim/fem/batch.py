@@ -262,6 +262,9 @@ class _Batch:
         poor = self._solve(active)
         if poor.any():
             self._factorise(poor)
+            poor = self._solve(poor)
+        if poor.any() and self.system.distrust(poor):  # seen of cuDSS, with matrices that PARDISO has no trouble with
+            self._factorise(poor)
             self._solve(poor)
         after = self._line_search(active, residual)
         self.iteration[active] += 1

@@ -78,14 +78,18 @@ def subtract(basis: wp.array2d(dtype=wp.float64), count: wp.int32, factor: wp.ar
     scene = i // n
     sum = w[i]
     for v in range(count):
-        sum -= factor[v, scene] * basis[v, i]
+        if factor[v, scene] != wp.float64(0.0):  # a vector that is not finite may lie there
+            sum -= factor[v, scene] * basis[v, i]
     w[i] = sum
 
 
 @wp.kernel(enable_backward=False)
 def scale(w: wp.array(dtype=wp.float64), factor: wp.array(dtype=wp.float64), n: wp.int32, out: wp.array(dtype=wp.float64)):
     i = wp.tid()
-    out[i] = factor[i // n] * w[i]
+    scaled = wp.float64(0.0)
+    if factor[i // n] != wp.float64(0.0):  # what is left out may not be finite
+        scaled = factor[i // n] * w[i]
+    out[i] = scaled
 
 
 class BatchedGmres:

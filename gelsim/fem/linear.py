@@ -302,48 +302,73 @@ class BatchedSystem:
 
             if find_cudss() is not None:
                 self._cudss = CudssBatch(count, device)
-                self.name = self._cudss.name
-                return
-        self._direct = [make_solver() for _ in range(count)]
-        self.name = f"{self._direct[0].name} on the CPU" if device.startswith("cuda") else self._direct[0].name
+        self._direct: list[PardisoSolver | SuperLUSolver | None] = [None] * count
+        """Of each system that is solved on the CPU."""
+        if self._cudss is None:
+            self._direct = [make_solver() for _ in range(count)]
+        names = [solver.name for solver in (self._cudss, self._direct[0]) if solver is not None]
+        self.name = names[0] + (" on the CPU" if device.startswith("cuda") and self._cudss is None else "")
+
+    @property
+    def _here(self) -> NDArray[np.bool_]:
+        """Which systems are solved on the CPU."""
+        return np.array([direct is not None for direct in self._direct])
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern; all have to be factorised again."""
         self.factored[:] = False
+        self._pattern = indptr, indices
         if self._cudss is not None:
             self._cudss.analyse(indptr, indices)
             self.factor_entries = self._cudss.factor_entries
-            return
         for direct in self._direct:
-            direct.analyse(indptr, indices, np.zeros(len(indices)))
+            if direct is not None:
+                direct.analyse(indptr, indices, np.zeros(len(indices)))
+
+    def distrust(self, which: NDArray[np.bool_]) -> bool:
+        """Leaves systems of which new factors are of no use to the CPU, from now on; False where they are there already."""
+        new = which & ~self._here
+        for one in np.flatnonzero(new):
+            self._direct[one] = direct = make_solver()
+            direct.analyse(*self._pattern, np.zeros(len(self._pattern[1])))
+        self.factored[new] = False
+        return bool(new.any())
 
     def factorise(self, values: wp.array, which: NDArray[np.bool_]) -> None:
         """Factorises the systems `which`; `values` holds those of all, one system after the other."""
         self.factored |= which
-        if self._cudss is not None:
-            self._cudss.factorise(values, which)
-            return
-        parts = values.numpy().reshape(self.count, -1)
-        for one in np.flatnonzero(which):
-            self._direct[one].factorise(parts[one].copy())
+        here = which & self._here
+        if self._cudss is not None and (which & ~here).any():
+            self._cudss.factorise(values, which & ~here)
+        if here.any():
+            parts = values.numpy().reshape(self.count, -1)
+            for one in np.flatnonzero(here):
+                self._solver(one).factorise(parts[one].copy())
 
     @property
     def negative(self) -> NDArray[np.integer] | None:
         """Negative eigenvalues of each system's last factors, None where they are not known."""
-        if self._cudss is not None:
-            return self._cudss.negative
-        found = [direct.negative for direct in self._direct]
+        here = self._here
+        if self._cudss is not None and not here.all():
+            return self._cudss.negative if not here.any() else None
+        found = [self._solver(one).negative for one in range(self.count)]
         return None if None in found else np.array(found)
 
     def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
         """Writes the solutions of the systems `which` into x; leaves the others' places alone."""
-        if self._cudss is not None:
-            self._cudss.solve(b, x, which)
-            return
-        right, found = b.numpy().reshape(self.count, -1), x.numpy().reshape(self.count, -1).copy()
-        for one in np.flatnonzero(which):
-            found[one] = self._direct[one].solve(right[one].copy())
-        x.assign(found.ravel())
+        here = which & self._here
+        if self._cudss is not None and (which & ~here).any():
+            self._cudss.solve(b, x, which & ~here)
+        if here.any():
+            right, found = b.numpy().reshape(self.count, -1), x.numpy().reshape(self.count, -1).copy()
+            for one in np.flatnonzero(here):
+                found[one] = self._solver(one).solve(right[one].copy())
+            x.assign(found.ravel())
+
+    def _solver(self, one: int | np.integer) -> PardisoSolver | SuperLUSolver:
+        solver = self._direct[one]
+        assert solver is not None
+        return solver
 
 
 def single_threaded_blas():  # type: ignore[no-untyped-def]

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import SolveStatus
 from gelsim.fem import solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
-from gelsim.fem.linear import SHIFTS, find_mkl
+from gelsim.fem.linear import SHIFTS, BatchedSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import OVERLAP_MM
@@ -143,6 +144,51 @@ def test_a_saddle_is_made_stiffer() -> None:
     assert batch.factorisations.tolist() == [2, 2 + len(SHIFTS)]
 
 
+class NoGood:
+    """Factors on a GPU that are of no use for the second system: their answers are `wrong` times the right ones."""
+
+    name, factor_entries, negative = "no good", 0, None
+
+    def __init__(self, wrong: float) -> None:
+        self.right, self.wrong, self.factorised = BatchedSystem(2, "cpu"), wrong, np.zeros(2, int)
+
+    def analyse(self, indptr: np.ndarray, indices: np.ndarray) -> None:
+        self.right.analyse(indptr, indices)
+
+    def factorise(self, values: wp.array, which: np.ndarray) -> None:
+        self.right.factorise(values, which)
+        self.factorised += which
+
+    def solve(self, b: wp.array, x: wp.array, which: np.ndarray) -> None:
+        self.right.solve(b, x, which)
+        if which[1]:
+            both = x.numpy().reshape(2, -1).copy()
+            both[1] *= self.wrong
+            x.assign(both.ravel())
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan])
+def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [scene(30.0), scene(200.0, 0.5)]
+    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
+    batch, no_good = _Batch(problems, None), NoGood(wrong)
+    monkeypatch.setattr(batch.system, "_cudss", no_good)
+    monkeypatch.setattr(batch.system, "_direct", [None, None])
+    for press, one in zip(batch.run(None, None), scenes, strict=True):
+        assert press.status is SolveStatus.CONVERGED
+        assert same_force(alone(one), press)
+    assert batch.system._direct[0] is None and batch.system._direct[1] is not None
+    assert no_good.factorised[1] == 2  # once, once more to be sure
+    # planted: without the replacement it stops
+    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
+    batch = _Batch(problems, None)
+    monkeypatch.setattr(batch.system, "_cudss", NoGood(wrong))
+    monkeypatch.setattr(batch.system, "_direct", [None, None])
+    monkeypatch.setattr(batch.system, "distrust", lambda which: False)
+    kept, stopped = batch.run(None, None)
+    assert kept.status is SolveStatus.CONVERGED and stopped.status is not SolveStatus.CONVERGED
+
+
 def test_scenes_of_other_meshes_are_told_apart() -> None:
     coarse = pipeline.bodies(scene(200.0))
     other = pipeline.bodies(build_scene({"fidelity": "fast", "object": {"shape": "cone"}}))
@@ -159,8 +205,6 @@ def test_costs_say_where_the_time_went() -> None:
 
 def test_gmres_against_numpy() -> None:
     """Unsymmetric systems of different difficulty, side by side; one is left out, one has nothing to solve."""
-    import warp as wp
-
     rng = np.random.default_rng(1)
     count, n = 4, 30
     matrices = rng.normal(size=(count, n, n)) * np.array([0.02, 0.1, 0.05, 0.05])[:, None, None] + np.eye(n)
