@@ -151,13 +151,15 @@ class _Batch:
         self.gmres = BatchedGmres(self.count, self.unknowns, str(device))
 
         # Newton's state of every scene
-        self.goal, self.before = np.full(self.count, np.inf), np.full(self.count, np.inf)
+        self.goal = np.full(self.count, np.inf)
         self.iteration, self.limit = np.zeros(self.count, int), np.zeros(self.count, int)
         self.factorisations = np.zeros(self.count, int)
         self.exact_after = np.array([problem.options.exact_after for problem in problems])
         self.inverted = np.zeros(self.count, bool)
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
+        self.moved = np.zeros(self.count, bool)
+        """Who had a matrix of which only the CPU's factors were of use."""
 
     def run(self, progress: Callable[[int, int], None] | None, states: Callable[[int, int], None] | None) -> list[Deformation]:
         """Drives all marches to their ends."""
@@ -179,6 +181,9 @@ class _Batch:
                             request = marches[scene].send(report)
                     except StopIteration as end:
                         done[scene], active[scene] = end.value, False
+                        if self.moved[scene]:
+                            told = f"{self.system.name}: factors of some matrices were of no use; those had the CPU's"
+                            end.value.info["warnings"] = [*end.value.info.get("warnings", []), told]
                         if progress is not None:
                             progress(int((~active).sum()), self.count)
                         continue
@@ -198,7 +203,6 @@ class _Batch:
         self.goal[scene] = request.tolerance or options.tolerance
         self.limit[scene] = options.max_iterations if request.solve else 0
         self.iteration[scene] = self.factorisations[scene] = 0
-        self.before[scene] = np.inf
         self.inverted[scene] = False
 
     def _ended(self, scene: int, residual: _Residual) -> NewtonReport | None:
@@ -263,9 +267,10 @@ class _Batch:
         if poor.any():
             self._factorise(poor)
             poor = self._solve(poor)
-        if poor.any() and self.system.distrust(poor):  # seen of cuDSS, with matrices that PARDISO has no trouble with
-            self._factorise(poor)
-            self._solve(poor)
+        if poor.any() and (useless := self.system.distrust(self._useless(poor))).any():
+            self.moved |= useless
+            self._factorise(useless)
+            self._solve(useless)
         after = self._line_search(active, residual)
         self.iteration[active] += 1
         return after
@@ -307,8 +312,15 @@ class _Batch:
                 return
 
     def _at_saddle(self) -> Mask:
-        negative = self.system.negative
-        return np.zeros(self.count, bool) if negative is None else negative > self._single.free[:, 3].sum()
+        return self.system.negative > self._single.free[:, 3].sum()
+
+    def _useless(self, poor: Mask) -> Mask:
+        """Of scenes whose steps are poor those whose factors, new ones, do not even answer their own matrices: slip is no excuse."""
+        answer, product = wp.zeros_like(self.equations), wp.zeros_like(self.equations)
+        self.system.solve(self.equations, answer, poor)
+        self._multiply(answer, product)
+        b, found = (array.numpy().reshape(self.count, -1) for array in (self.equations, product))
+        return poor & ~(np.linalg.norm(b - found, axis=1) <= POOR * np.linalg.norm(b, axis=1))
 
     def _solve(self, wanted: Mask) -> Mask:
         """Steps of the wanted scenes; returns those whose factors were of no use."""
@@ -322,9 +334,12 @@ class _Batch:
 
     def _product(self, v: wp.array, out: wp.array) -> None:
         """The whole tangents' products with v, slipping friction's unsymmetric part included."""
+        self._multiply(v, out)
+        self.contact.add_slip_product(self.equation, v, out)
+
+    def _multiply(self, v: wp.array, out: wp.array) -> None:
         out.zero_()
         wp.launch(multiply, len(v), [self._start, self._column, self.values, self.unknowns, v, out], device=self.solids.device)
-        self.contact.add_slip_product(self.equation, v, out)
 
     def _grow(self) -> None:
         """Makes a pattern that holds the present contact of all scenes, what may come, and what there was: it may come back."""

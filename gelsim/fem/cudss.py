@@ -1,6 +1,7 @@
 """NVIDIA's cuDSS for batches: LDLᵀ of many symmetric matrices with one pattern, all on the GPU (the package nvidia-cudss).
 
-Plain pivots, as for PARDISO (linear.py): with -C < 0 the matrices are quasi-definite. A mask says which of the batch a call is for.
+Plain pivots, as for PARDISO (linear.py): with -C < 0 the matrices are quasi-definite. No matching either, which cuDSS 1.0 does by itself
+for a batch of one, by the values at the analysis: here there are none yet. A mask says which of the batch a call is for.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 # cudss.h and cudss_data_types.h of version 0.8 and 1.0; 32-bit indices and 64-bit reals by CUDA's library_types.h
-_PIVOT_TYPE, _UBATCH_SIZE, _PIVOT_NONE = 7, 18, 1
+_MATCHING, _PIVOT_TYPE, _UBATCH_SIZE, _MATCHING_NONE, _PIVOT_NONE = 3, 7, 18, 0, 1
 _LU_NNZ, _INERTIA, _UBATCH_MASK = 1, 3, 25
 _ANALYSIS, _FACTORIZATION, _REFACTORIZATION, _SOLVE = 3, 4, 8, 1008
 _REAL_64, _INT_32 = 1, 10
@@ -60,6 +61,7 @@ class CudssBatch:
         self._call("cudssConfigCreate", ctypes.byref(self._config))
         self._set(_UBATCH_SIZE, count)
         self._set(_PIVOT_TYPE, _PIVOT_NONE)
+        self._set(_MATCHING, _MATCHING_NONE)
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Orders the unknowns for a pattern: upper triangle, CSR."""
@@ -74,7 +76,9 @@ class CudssBatch:
             c_int(_BASE_ZERO),
         )  # fmt: skip
         for matrix in (self._right, self._left):
-            self._call("cudssMatrixCreateDn", ctypes.byref(matrix), c_int64(n), c_int64(1), c_int64(n), None, c_int(_REAL_64), c_int(0))
+            self._call(
+                "cudssMatrixCreateDn", ctypes.byref(matrix), c_int64(n), c_int64(1), c_int64(n), None, c_int(_REAL_64), c_int(_COLUMN_MAJOR)
+            )
         self._call("cudssDataCreate", self._handle, ctypes.byref(self._data))
         self._select(np.ones(self.count, bool))
         values, vector = (wp.zeros(self.count * k, dtype=wp.float64, device=self.device) for k in (entries, n))
@@ -91,9 +95,9 @@ class CudssBatch:
         self._factored = True
 
     @property
-    def negative(self) -> NDArray[np.integer] | None:
-        """Negative eigenvalues of each matrix's last factors; None of several matrices, of which cuDSS does not tell each one's."""
-        return self._get(_INERTIA, 2, np.int32)[1:] if self.count == 1 else None
+    def negative(self) -> NDArray[np.integer]:
+        """Negative eigenvalues of each matrix's last factors; -1 of several matrices, of which cuDSS does not tell each one's."""
+        return self._get(_INERTIA, 2, np.int32)[1:] if self.count == 1 else np.full(self.count, -1)
 
     def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
         self._select(which)

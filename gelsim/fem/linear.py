@@ -319,20 +319,21 @@ class BatchedSystem:
         self.factored[:] = False
         self._pattern = indptr, indices
         if self._cudss is not None:
+            self._direct = [None] * self.count
             self._cudss.analyse(indptr, indices)
             self.factor_entries = self._cudss.factor_entries
-        for direct in self._direct:
-            if direct is not None:
-                direct.analyse(indptr, indices, np.zeros(len(indices)))
+            return
+        for one in range(self.count):
+            self._solver(one).analyse(indptr, indices, np.zeros(len(indices)))
 
-    def distrust(self, which: NDArray[np.bool_]) -> bool:
-        """Leaves systems of which new factors are of no use to the CPU, from now on; False where they are there already."""
+    def distrust(self, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Leaves systems of which new factors are of no use to the CPU until the next pattern; returns those that were not there yet."""
         new = which & ~self._here
         for one in np.flatnonzero(new):
             self._direct[one] = direct = make_solver()
             direct.analyse(*self._pattern, np.zeros(len(self._pattern[1])))
         self.factored[new] = False
-        return bool(new.any())
+        return new
 
     def factorise(self, values: wp.array, which: NDArray[np.bool_]) -> None:
         """Factorises the systems `which`; `values` holds those of all, one system after the other."""
@@ -346,13 +347,13 @@ class BatchedSystem:
                 self._solver(one).factorise(parts[one].copy())
 
     @property
-    def negative(self) -> NDArray[np.integer] | None:
-        """Negative eigenvalues of each system's last factors, None where they are not known."""
-        here = self._here
-        if self._cudss is not None and not here.all():
-            return self._cudss.negative if not here.any() else None
-        found = [self._solver(one).negative for one in range(self.count)]
-        return None if None in found else np.array(found)
+    def negative(self) -> NDArray[np.integer]:
+        """Negative eigenvalues of each system's last factors, -1 where they are not known."""
+        found = np.full(self.count, -1) if self._cudss is None else self._cudss.negative.copy()
+        for one in np.flatnonzero(self._here):
+            counted = self._solver(one).negative
+            found[one] = -1 if counted is None else counted
+        return found
 
     def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
         """Writes the solutions of the systems `which` into x; leaves the others' places alone."""

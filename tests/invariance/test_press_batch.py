@@ -147,9 +147,10 @@ def test_a_saddle_is_made_stiffer() -> None:
 class NoGood:
     """Factors on a GPU that are of no use for the second system: their answers are `wrong` times the right ones."""
 
-    name, factor_entries, negative = "no good", 0, None
+    name, factor_entries = "no good", 0
 
     def __init__(self, wrong: float) -> None:
+        self.negative = np.full(2, -1)
         self.right, self.wrong, self.factorised = BatchedSystem(2, "cpu"), wrong, np.zeros(2, int)
 
     def analyse(self, indptr: np.ndarray, indices: np.ndarray) -> None:
@@ -174,17 +175,26 @@ def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.Monkey
     batch, no_good = _Batch(problems, None), NoGood(wrong)
     monkeypatch.setattr(batch.system, "_cudss", no_good)
     monkeypatch.setattr(batch.system, "_direct", [None, None])
+    grow, patterns = batch._grow, 0
+
+    def counted() -> None:
+        nonlocal patterns
+        patterns += 1
+        grow()
+
+    monkeypatch.setattr(batch, "_grow", counted)
     for press, one in zip(batch.run(None, None), scenes, strict=True):
         assert press.status is SolveStatus.CONVERGED
         assert same_force(alone(one), press)
-    assert batch.system._direct[0] is None and batch.system._direct[1] is not None
-    assert no_good.factorised[1] == 2  # once, once more to be sure
+        assert any("of no use" in told for told in press.info.get("warnings", [])) == (one is scenes[1])
+    assert batch.moved.tolist() == [False, True] and batch.system._direct[0] is None
+    assert no_good.factorised[1] == 2 * patterns  # of each pattern once, and once more to be sure
     # planted: without the replacement it stops
     problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
     batch = _Batch(problems, None)
     monkeypatch.setattr(batch.system, "_cudss", NoGood(wrong))
     monkeypatch.setattr(batch.system, "_direct", [None, None])
-    monkeypatch.setattr(batch.system, "distrust", lambda which: False)
+    monkeypatch.setattr(batch.system, "distrust", np.zeros_like)
     kept, stopped = batch.run(None, None)
     assert kept.status is SolveStatus.CONVERGED and stopped.status is not SolveStatus.CONVERGED
 
