@@ -197,18 +197,31 @@ def _cached(
     sizes = [(dataset.folder / row["file"]).stat().st_size for row in rows if (dataset.folder / row["file"]).is_file()]
     identity = json.dumps([_CACHE_VERSION, rows, sizes, inputs.picture, inputs.deadband_levels, NAMES, *drawn], sort_keys=True)
     home = cache / hashlib.sha256(identity.encode()).hexdigest()[:16]
-    whole = _load(home / "arrays.npz")
+    whole = _mapped(home)
     if whole is None:
         cache.mkdir(parents=True, exist_ok=True)
         with FileLock(f"{home}.lock"):  # of several runs that begin at once one reads, the others wait; it goes with the run that dies
-            whole = _load(home / "arrays.npz") or _filled(home, dataset, begins, shape, inputs, progress, workers, plan, device)
-    return np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), whole
+            whole = _mapped(home)
+            if whole is None:
+                _fill(home, dataset, begins, shape, inputs, progress, workers, plan, device)
+                whole = _mapped(home)
+    assert whole is not None
+    return whole
 
 
-def _filled(
+def _mapped(home: Path) -> tuple[NDArray[np.uint16], dict[str, NDArray[Any]]] | None:
+    """Pictures and what else a cache holds; None where it is not there or damaged."""
+    arrays = _load(home / "arrays.npz")
+    try:
+        return None if arrays is None else (np.load(home / "pictures.npy", mmap_mode="r", allow_pickle=False), arrays)
+    except (OSError, ValueError):
+        return None
+
+
+def _fill(
     home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, progress: Progress | None,
     workers: int, plan: str | None, device: str,
-) -> dict[str, NDArray[Any]]:  # fmt: skip
+) -> None:  # fmt: skip
     """Fills a cache, or what a run that died left of it: pictures into one file, the rest a handful a file until all are there."""
     rows = dataset.rows
     light, gpus = _light(dataset, rows, plan, device, progress)  # before there is anything to leave behind
@@ -221,11 +234,12 @@ def _filled(
             np.lib.format.open_memmap(path, mode="w+", dtype=np.uint16, shape=shape)
     pictures = np.lib.format.open_memmap(target, mode="r+")
     handfuls = _handfuls(rows)
-    found = {handful: part for handful in handfuls if (part := _load(partial / f"{handful[0]}.npz")) is not None}
+    files = {handful: partial / f"{handful[0]}-{handful[-1]}.npz" for handful in handfuls}
+    found = {handful: part for handful, file in files.items() if (part := _load(file)) is not None}
 
     def told(handful: Handful, part: dict[str, NDArray[Any]]) -> None:
         found[handful] = part
-        with whole_file(partial / f"{handful[0]}.npz") as path, path.open("wb") as file:
+        with whole_file(files[handful]) as path, path.open("wb") as file:
             np.savez(file, allow_pickle=False, **part)
         if progress:
             progress("reading presses" if light is None else "drawing presses", sum(map(len, found)), len(rows))
@@ -245,10 +259,9 @@ def _filled(
     arrays = _join([found[handful] for handful in handfuls])
     pictures.flush()
     np.savez(partial / "arrays.npz", allow_pickle=False, **arrays)
-    for handful in handfuls:
-        (partial / f"{handful[0]}.npz").unlink()
+    for file in files.values():
+        file.unlink()
     partial.rename(home)
-    return arrays
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]] | None:
