@@ -170,7 +170,7 @@ class NoGood:
 
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
 def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes = [scene(30.0), scene(200.0, 0.5)]
+    scenes = [scene(30.0, frames=3), scene(200.0, 0.5, frames=3)]
     problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
     batch, no_good = _Batch(problems, None), NoGood(wrong)
     monkeypatch.setattr(batch.system, "_cudss", no_good)
