@@ -55,6 +55,10 @@ class Deformation:
     info: dict[str, object] = field(default_factory=dict)
     """For report.json: mesh sizes, error estimate, symmetry used, solver, warnings."""
 
+    def warn(self, told: str) -> None:
+        """Adds a sentence to the warnings of report.json."""
+        self.info["warnings"] = [*self.info.get("warnings", []), told]  # type: ignore[misc]
+
 
 @dataclass(frozen=True, eq=False)
 class PressSensitivity:

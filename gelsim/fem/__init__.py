@@ -74,8 +74,8 @@ def solve_press(
     from gelsim.fem.quasistatic import run_press
 
     best: Deformation | None = None
+    name = "cuda:0" if device == "cuda" else "cpu"
     for points in CONTACT_POINTS:
-        name = "cuda:0" if device == "cuda" else "cpu"
         tried = _tried(scene, points)
         bodies = tried, gel, body, placement, gel_material, object_material, name
         problem = PressProblem(*bodies, part_materials=part_materials, contact_points=points, held=_held(points))
@@ -110,10 +110,10 @@ def _note(press: Deformation, scene: Scene, points: int) -> None:
     press.info["contact_points"] = points
     if points != CONTACT_POINTS[0]:
         told = "did not converge at first: solved with twice the contact points, and volume held at points, which makes tets stiffer"
-        press.info["warnings"] = [*press.info.get("warnings", []), told]  # type: ignore[misc]
+        press.warn(told)
     if _tried(scene, points) is not scene:
         told = f"sticking did not converge without a bound: solved with a friction coefficient of {STICK:g} instead"
-        press.info["warnings"] = [*press.info.get("warnings", []), told]  # type: ignore[misc]
+        press.warn(told)
 
 
 def _further(before: Deformation | None, press: Deformation) -> Deformation:

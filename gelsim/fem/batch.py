@@ -182,8 +182,7 @@ class _Batch:
                     except StopIteration as end:
                         done[scene], active[scene] = end.value, False
                         if self.moved[scene]:
-                            told = f"{self.system.name}: factors of some matrices were of no use; those had the CPU's"
-                            end.value.info["warnings"] = [*end.value.info.get("warnings", []), told]
+                            end.value.warn(f"{self.system.name}: factors of some matrices were of no use; those had the CPU's")
                         if progress is not None:
                             progress(int((~active).sum()), self.count)
                         continue

@@ -90,8 +90,7 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     deformation = march.recorder.deformation(march.status, message, march.halved)
     deformation.info["energy"] = march.energy.report()
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        told = f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{beyond}"
-        deformation.info["warnings"] = [*deformation.info.get("warnings", []), told]  # type: ignore[misc]
+        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{beyond}")
     return deformation
 
 
