@@ -178,6 +178,12 @@ def _parser() -> Parser:
     dataset.add_argument("--sensor", metavar="NAME", help="with --light-of: a sensor preset or file (default: the plan's own)")
     dataset.add_argument("--no-light", action="store_true", help="mechanics and labels only, no pictures: --light-of draws them later")
     dataset.add_argument("--episodes", type=int, metavar="N", help="how many, counted from the first; needed with a plan")
+    dataset.add_argument(
+        "--test-episodes",
+        type=int,
+        metavar="N",
+        help="take test rows from the first N episodes only; beyond, presses are left out that no training sees (default: all)",
+    )
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
     dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core)")
@@ -400,6 +406,8 @@ def _friction(text: str) -> float | str:
 
 
 def _dataset(options: argparse.Namespace) -> dict[str, Any]:
+    if options.test_episodes is not None and (options.light_of or options.real):
+        raise SceneError("dataset: --test-episodes N goes with a plan")
     if options.real:
         from gelsim.generate import real
 
@@ -438,6 +446,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
             resume=options.resume,
             device=options.device,
             light=not options.no_light,
+            test_episodes=options.test_episodes,
             progress=progress,
         )
     if not options.json:

@@ -38,7 +38,9 @@ SENSOR, OBJECT, PRESS, EPISODE, SPLIT = range(5)
 RIGID_DEEPEST = 0.6
 """Of the gel's thickness: deeper presses of rigid objects end there, before the gel is cut through."""
 HUMAN_OR_ROBOT = ("human", "robot")
-SPLITS = ("train", "validation", "novel_hardness", "novel_shape", "robot", "vessels", "complicated", "natural")
+SPLITS_LEARNT = ("train", "validation")
+"""Splits that a training sees; the others are test rows."""
+SPLITS = (*SPLITS_LEARNT, "novel_hardness", "novel_shape", "robot", "vessels", "complicated", "natural")
 
 
 def generator(seed: int, kind: int, *numbers: int) -> np.random.Generator:

@@ -21,7 +21,7 @@ from gelsim.files import whole_file
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, is_measured
-from gelsim.randomize import SPLITS, Catalogue, load_plan
+from gelsim.randomize import SPLITS, SPLITS_LEARNT, Catalogue, load_plan
 from gelsim.scene import Scene
 from gelsim.workers import Crew, Handful, LocalCrew, WorkError, work_through
 
@@ -57,6 +57,7 @@ def generate(
     resume: bool = False,
     device: str = "cpu",
     light: bool = True,
+    test_episodes: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Makes a dataset; returns what the command reports.
@@ -68,6 +69,7 @@ def generate(
         ray: Address of a Ray cluster that works instead of this machine.
         device: Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers.
         light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
+        test_episodes: Beyond this index only presses that are trained on or validated; None: all.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
             what was done is kept.
@@ -75,12 +77,19 @@ def generate(
     catalogue = Catalogue(load_plan(plan), seed)
     if episodes < 1:
         raise SceneError(f"--episodes {episodes}: expected 1 or more")
+    if test_episodes is not None and test_episodes < 0:
+        raise SceneError(f"--test-episodes {test_episodes}: expected 0 or more")
     crew = crew_of(workers, device, ray)
     start = time.perf_counter()
     info = _info(catalogue, light)
     book = Book(out, info, resume)
     ends = len(catalogue.plan.end_points)
-    wanted = {number: [end for end in range(ends) if number * ends + end < episodes] for number in range(-(-episodes // ends))}
+    wanted = {
+        number: [end for end in range(ends) if number * ends + end < episodes]
+        for number in range(-(-episodes // ends))
+        if test_episodes is None or number * ends < test_episodes or catalogue.press(number).split in SPLITS_LEARNT
+    }
+    asked = {number * ends + end for number, of_press in wanted.items() for end in of_press}
     todo = {
         number: missing
         for number, of_press in wanted.items()
@@ -88,7 +97,7 @@ def generate(
     }
     book.write()
     keep_plan(catalogue, out)
-    total, before = episodes, sum(len(of_press) for of_press in wanted.values()) - sum(len(of_press) for of_press in todo.values())
+    before = len(asked) - sum(len(of_press) for of_press in todo.values())
     if todo:
         if light and catalogue.plan.mode == "baked":
             measure_lights([catalogue.sensor_scene(number) for number in sensors_of(catalogue, todo)], device, progress)
@@ -104,12 +113,12 @@ def generate(
                 if done.error:
                     raise WorkError(done.error)
                 if progress:
-                    progress("episodes", book.count(range(episodes)), total)
+                    progress("episodes", book.count(asked), len(asked))
         except BaseException:
             book.write(quietly=True)
             raise
         book.write()
-    report = report_of(book, out, range(episodes), before, crew.count, time.perf_counter() - start)
+    report = report_of(book, out, asked, before, crew.count, time.perf_counter() - start)
     return {"plan": catalogue.plan.name, "seed": seed} | report
 
 

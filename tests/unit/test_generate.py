@@ -168,7 +168,12 @@ def test_folders_that_cannot_be_used(tmp_path: Path):
         generate(TINY, 2, tmp_path, resume=True)
     with pytest.raises(DatasetError, match="cannot be written"):
         generate(TINY, 2, tmp_path / "file" / "below")
-    for wrong, said in (({"episodes": 0}, "--episodes 0"), ({"workers": 0}, "--workers 0"), ({"device": "tpu"}, "--device tpu")):
+    for wrong, said in (
+        ({"episodes": 0}, "--episodes 0"),
+        ({"workers": 0}, "--workers 0"),
+        ({"device": "tpu"}, "--device tpu"),
+        ({"test_episodes": -1}, "--test-episodes -1"),
+    ):
         with pytest.raises(SceneError, match=said):
             generate(TINY, **({"episodes": 2, "out": tmp_path / "new"} | wrong))
     assert not (tmp_path / "new").exists()
@@ -283,6 +288,12 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
     # Mechanics first and light later are the same files; the folder without light takes no episodes with it.
     dark = tmp_path / "dark"
     assert generate(TINY, 6, dark, seed=3, workers=2, light=False)["episodes"] == 6
+    # Without test rows: the others, as they are; given again without the limit, the rest is made.
+    assert generate(TINY, 6, tmp_path / "part", seed=3, workers=1, light=False, test_episodes=2)["failed"] == 0
+    told_of = {folder: [(row["index"], row["split"]) for row in load_dataset(folder).rows] for folder in (dark, tmp_path / "part")}
+    assert told_of[tmp_path / "part"] == [each for each in told_of[dark] if each[0] < 2 or each[1] == "train"] != told_of[dark]
+    generate(TINY, 6, tmp_path / "part", seed=3, workers=1, light=False, resume=True)
+    assert contents(tmp_path / "part") == contents(dark)
     with pytest.raises(SceneError, match="its resolution is"):
         generate(TINY, 6, dark, seed=3, workers=1, resume=True)
     with pytest.raises(SceneError, match="not what it was made from"):
