@@ -175,7 +175,9 @@ def _parser() -> Parser:
     dataset.add_argument(
         "--light-of", metavar="DIR", help="instead: a simulated dataset, its presses seen by another sensor, or drawn at last"
     )
-    dataset.add_argument("--sensor", metavar="NAME", help="with --light-of: a sensor preset or file (default: the plan's own)")
+    dataset.add_argument(
+        "--sensor", metavar="NAME", help="a sensor preset or file; with --light-of (default: the plan's own) or --real (whose gel it is)"
+    )
     dataset.add_argument("--no-light", action="store_true", help="mechanics and labels only, no pictures: --light-of draws them later")
     dataset.add_argument("--episodes", type=int, metavar="N", help="how many, counted from the first; needed with a plan")
     dataset.add_argument(
@@ -412,14 +414,14 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         from gelsim.generate import real
 
         with progress_bars() as progress:
-            report = real.convert(Path(options.real), Path(options.out), resume=options.resume, progress=progress)
+            report = real.convert(Path(options.real), Path(options.out), sensor=options.sensor, resume=options.resume, progress=progress)
         if not options.json:
             print(real.summary(report))
         return report
     from gelsim import generate
 
     if options.sensor is not None and options.light_of is None:
-        raise SceneError("dataset: --sensor NAME goes with --light-of DIR; a plan says which sensors it has")
+        raise SceneError("dataset: --sensor NAME goes with --light-of DIR or --real DIR; a plan says which sensors it has")
     if options.no_light and options.light_of is not None:
         raise SceneError("dataset: --no-light and --light-of exclude each other")
     if options.light_of:

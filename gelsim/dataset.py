@@ -19,16 +19,19 @@ import json
 import tarfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import DatasetError
+from gelsim import materials
+from gelsim.errors import DatasetError, MaterialError
 from gelsim.files import whole_file
+from gelsim.limits import LIMITS
 from gelsim.results import Episode
+from gelsim.scene import Gel
 
 SCHEMA = 1
 FOLDER_OF = 1000
@@ -45,6 +48,10 @@ _ROW: dict[str, tuple[type, ...]] = {
     "peak_force_n": (float, int, type(None)), "mechanics": (str,), "sensor": (str,), "file": (str,),
 }  # fmt: skip
 """Every row has these; it may have more."""
+_GEL: dict[str, tuple[float, float]] = {
+    "thickness_mm": LIMITS["gel.thickness_mm"], "edge_thickness_mm": LIMITS["gel.edge_thickness_mm"], "shore_00": materials.SHORE_00_RANGE,
+}  # fmt: skip
+"""Inclusive bounds of a row's `gel`, which it need not have: without, nobody said which gel it was."""
 _LABELS = {"time": np.float64, "approach": np.float64, "force": np.float64, "marker_pixels": np.float32, "noise": np.float64}
 """As they are stored; a marker's place is kept to 1e-5 px."""
 
@@ -133,6 +140,34 @@ def check_row(row: object, where: str) -> None:
             raise DatasetError(f"{where}: {name} = {row[name]!r}: allowed are {', '.join(allowed)}")
     if row["file"] != episode_file(row["index"]) or row["index"] < 0:
         raise DatasetError(f"{where}: file = {row['file']!r}: the episode {row['index']} lies in {episode_file(max(row['index'], 0))!r}")
+    if "gel" in row:
+        _check_gel(row["gel"], where)
+
+
+def _check_gel(gel: object, where: str) -> None:
+    if not isinstance(gel, dict) or set(gel) != set(_GEL):
+        raise DatasetError(f"{where}: gel = {gel!r}: expected a table of {', '.join(_GEL)}")
+    for name, (low, high) in _GEL.items():
+        value = gel[name]
+        if value is None and name == "shore_00":
+            continue
+        # A NaN is within no bounds.
+        if not isinstance(value, (int, float)) or isinstance(value, bool) or not low <= value <= high:
+            raise DatasetError(f"{where}: gel.{name} = {value!r}: allowed is {low:g} … {high:g}{' mm' if name.endswith('_mm') else ''}")
+
+
+def gel_facts(gel: Gel) -> dict[str, float | None]:
+    """A row's `gel`: what a lab knows of its own; `shore_00` None where no reading has this gel's modulus."""
+    if gel.shore_00 is not None:
+        shore = gel.shore_00
+    else:
+        try:
+            # What a reading means, `modulus_scale` says; a reading it does not change.
+            shore = materials.shore_00_from_modulus(materials.youngs_modulus(replace(gel, modulus_scale=1.0)))
+        except MaterialError:
+            shore = None
+    edge = gel.edge_thickness_mm if gel.profile == "dome" else gel.thickness_mm
+    return {"thickness_mm": gel.thickness_mm, "edge_thickness_mm": edge, "shore_00": shore}
 
 
 def lit(row: Mapping[str, Any]) -> bool:

@@ -28,6 +28,7 @@ LOOK = np.dtype([
     ("blur", np.float32),        # standard deviation [px]
     ("noise", np.float32),       # of noise on top of the camera's [levels]
     ("seed", np.int64),          # of the noise
+    ("hide_gel", np.bool_),      # the network is not told the gel
 ])  # fmt: skip
 """What is drawn once for a press."""
 
@@ -61,6 +62,7 @@ def draw_look(rng: np.random.Generator, config: AugmentConfig) -> NDArray:
         look["blur"] = rng.uniform(0, config.blur_px)
         look["noise"] = rng.uniform(0, config.noise_levels)
     look["seed"] = rng.integers(2**62)
+    look["hide_gel"] = config.augment and rng.random() < config.hide_gel
     return look
 
 

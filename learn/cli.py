@@ -106,6 +106,9 @@ def _parser() -> Parser:
     predict.add_argument("--background", type=Path, metavar="FILE", help="a picture without contact (default: the first frame)")
     predict.add_argument("--start", type=float, default=0.0, metavar="S", help="where in the video the press begins [s] (default: 0)")
     predict.add_argument("--seconds", type=float, metavar="S", help="how long it lasts [s] (default: to the end)")
+    predict.add_argument(
+        "--sensor", metavar="NAME", help="whose gel it is: a sensor preset, or a sensor or scene file (default: what was recorded with it)"
+    )
     for command in (train, evaluate):
         command.add_argument(
             "--plan", metavar="FILE", help="of a dataset without pictures, which are drawn first: its plan, if it does not keep it"
@@ -186,8 +189,9 @@ def _predict(options: argparse.Namespace) -> int:
     model = predict.shipped_model(options.model)
     answers = []
     for answer in predict.predict(
-        model, options.videos, background=options.background, start=options.start, seconds=options.seconds, device=options.device
-    ):
+        model, options.videos, background=options.background, start=options.start, seconds=options.seconds, sensor=options.sensor,
+        device=options.device,
+    ):  # fmt: skip
         answers.append(answer)
         if not options.json:
             failed = answer["status"] == "unreadable"

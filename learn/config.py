@@ -52,6 +52,8 @@ class ModelConfig:
     """ours: each picture comes with its intensity change (for an ablation)"""
     show_shape: bool = True
     """ours: and with the area, size and slope of what changed (for an ablation)"""
+    show_gel: bool = True
+    """ours: it is told thickness, dome and hardness of the gel where they are known (for an ablation)"""
     every_step: bool = True
     """ours: each picture of a press is trained as if it were the last (for an ablation)"""
     spread: bool = True
@@ -86,6 +88,8 @@ class AugmentConfig:
     """mirrors the sensor, its lights with it"""
     swap_colours: bool = True
     """gives the lights each other's colours"""
+    hide_gel: float = 0.2
+    """share of presses whose gel is not told: it is not always known"""
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,9 @@ class Config:
     def __post_init__(self) -> None:
         _check(self)
 
+
+# Fields that came later, and what a config that lacks them meant.
+_ADDED: dict[str, dict[str, Any]] = {"model": {"show_gel": False}, "augment": {"hide_gel": 0.0}}
 
 # What a preset changes; flags beat it.
 PRESETS: dict[str, dict[str, Any]] = {
@@ -196,16 +203,18 @@ def from_plain(plain: object) -> Config:
     parts = {}
     for name, kind in sections().items():
         known = {item.name for item in dataclasses.fields(kind)}
-        if not isinstance(plain[name], dict) or set(plain[name]) != known:
+        stored = _ADDED.get(name, {}) | plain[name] if isinstance(plain[name], dict) else {}
+        if set(stored) != known:
             raise LearnError(f"config: section {name!r} should hold {', '.join(sorted(known))}")
-        parts[name] = kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in plain[name].items()})
+        parts[name] = kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in stored.items()})
     return Config(**parts)
 
 
 _RANGES: dict[str, tuple[float, float]] = {
     "picture": (16, 1024), "frames": (2, 64), "deadband_levels": (0, 64), "contact_levels": (1e-3, 64), "widths": (4, 2048),
     "hidden": (4, 4096), "end_share": (0.05, 1), "thin": (1, 20), "drop": (0, 0.9), "noise_levels": (0, 64), "gain": (0, 0.9),
-    "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
+    "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "hide_gel": (0, 1),
+    "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
     "warmup": (0, 10**7), "weight_decay": (0, 10), "step_size": (1, 10**8), "step_factor": (0, 1), "momentum": (0, 0.9999),
     "clip": (0, 1e6), "seed": (0, 2**31), "workers": (0, 256), "validate_every": (1, 10**8), "real_ratio": (0, 1),
     "presses": (0, 10**8), "average": (0, 0.99999), "real_presses": (0, 10**8),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -21,6 +21,10 @@ HARDEST = 87.0
 VALIDATION_SHARE = 0.15
 """Of the objects, where a dataset brings no validation split."""
 
+Gel = tuple[float, float, float]
+"""Thickness at the centre [mm], at the edge [mm], and hardness [Shore 00] of a sensor's gel; a NaN among them: it is not known."""
+UNKNOWN_GEL: Gel = (np.nan, np.nan, np.nan)
+
 
 @dataclass(frozen=True, eq=False)
 class Press:
@@ -36,6 +40,7 @@ class Press:
     """Shore 00; NaN: unknown."""
     rigid: bool = False
     """The target is not known, but it is over HARDEST."""
+    gel: Gel = UNKNOWN_GEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +59,19 @@ class Batch:
     """Shore 00; NaN: unknown. Shape (B,)."""
     rigid: torch.Tensor
     """bool, shape (B,)."""
+    gel: torch.Tensor
+    """A `Gel` each, shape (B, 3)."""
 
     def to(self, device: torch.device) -> Batch:
         return Batch(*(getattr(self, name).to(device, non_blocking=True) for name in self.__dataclass_fields__))
+
+
+def gel_of(facts: Mapping[str, float | None] | None) -> Gel:
+    """The gel that a dataset's row tells (`gelsim.dataset.gel_facts`); None: it tells none."""
+    if facts is None:
+        return UNKNOWN_GEL
+    thickness, edge, shore = (facts[name] for name in ("thickness_mm", "edge_thickness_mm", "shore_00"))
+    return UNKNOWN_GEL if thickness is None or edge is None or shore is None else (thickness, edge, shore)
 
 
 def choose(recording: Recording, inputs: InputConfig, repeat: bool, end_share: float = 1.0) -> Press | None:
@@ -84,6 +99,7 @@ def collate(presses: Sequence[Press], at_least: int = 0) -> Batch:
         torch.tensor([len(press.pictures) for press in presses]),
         torch.tensor([press.target for press in presses], dtype=torch.float32),
         torch.tensor([press.rigid for press in presses]),
+        torch.tensor([press.gel for press in presses], dtype=torch.float32),
     )
 
 
@@ -112,5 +128,6 @@ def held_presses(part: Archive, inputs: InputConfig, repeat: bool, seed: int) ->
     for number, row in enumerate(part.rows):
         press = choose(with_noise(part.recording(number), [seed, 3, row["index"]], inputs), inputs, repeat)
         target = np.nan if row["shore_00"] is None else float(row["shore_00"])
-        found.append(None if press is None else Press(press.background, press.pictures, press.signal, target, bool(row["rigid"])))
+        told = {"target": target, "rigid": bool(row["rigid"]), "gel": gel_of(row.get("gel"))}
+        found.append(None if press is None else replace(press, **told))
     return found

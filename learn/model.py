@@ -1,7 +1,8 @@
 """The two networks: from the pictures of a press to Shore 00. Everything about them is in this file.
 
-PressNet (ours): each picture less the no-contact frame, and that frame itself -> residual CNN -> LSTM -> at every picture a mean m and a
-spread s. The estimate is that of the last picture. Trained at every picture, so a short press is a press too and its spread may be larger.
+PressNet (ours): each picture less the no-contact frame, and that frame itself -> residual CNN -> with what is known of the gel, LSTM -> at
+every picture a mean m and a spread s. The estimate is that of the last picture. Trained at every picture, so a short press is a press too
+and its spread may be larger.
     L = -log N(y; m, s) s^(2β), the last factor held constant (Seitzer et al., ICLR 2022: "β-NLL", β = ½): the likelihood, but a press that
     is thought uncertain still teaches its mean. Of rigid objects it is only known that y > HARDEST: L = -log P(y > HARDEST).
 PaperNet (Yuan et al., ICRA 2017): each picture less the first -> VGG16 up to fc7 (Simonyan and Zisserman 2015) -> LSTM -> affine, at every
@@ -34,6 +35,10 @@ HUBER_DELTA = 1.0
 """Where the Huber loss turns from square to straight [Shore 00]; the paper does not give it."""
 SHAPES = 3
 """Numbers of `shape_of`."""
+GEL, GEL_UNITS = (2.4, 1.0, 17.0), (0.2, 0.5, 5.0)
+"""The gel from which `gel_input` counts (a `learn.data.Gel`), and what is 1 there [-, mm, Shore 00]."""
+GELS = 4
+"""Numbers of `gel_input`."""
 PAPER_OUTPUTS = 3
 """The outputs that the paper averages."""
 
@@ -81,7 +86,7 @@ class PressNet(nn.Module):
         self.stem_norm = nn.GroupNorm(4, config.widths[0])
         pairs = zip(config.widths, config.widths[1:], strict=False)
         self.stages = nn.Sequential(*(Residual(inside, outside) for inside, outside in pairs))
-        extra = int(config.show_signal) + SHAPES * int(config.show_shape)
+        extra = int(config.show_signal) + SHAPES * int(config.show_shape) + GELS * int(config.show_gel)
         self.embed = nn.Linear(2 * config.widths[-1] + extra, config.hidden)
         self.lstm = nn.LSTM(config.hidden, config.hidden, batch_first=True)
         self.head = nn.Linear(config.hidden, 2)
@@ -102,6 +107,8 @@ class PressNet(nn.Module):
             x = torch.cat([x, torch.log1p(batch.signal / FAINT_LEVELS)[..., None]], dim=-1)
         if self.config.show_shape:
             x = torch.cat([x, shape_of(batch.pictures - batch.background[:, None])], dim=-1)
+        if self.config.show_gel:
+            x = torch.cat([x, gel_input(batch.gel)[:, None].expand(-1, steps, -1)], dim=-1)
         with torch.autocast(x.device.type, enabled=False):
             hidden, _ = self.lstm(functional.silu(self.embed(x)))
             said = self.head(hidden)
@@ -229,6 +236,22 @@ def shape_of(change: torch.Tensor) -> torch.Tensor:
     slopes = torch.stack(torch.gradient(most, dim=(-2, -1))).norm(dim=0)
     slope = (slopes * touched).sum(dim=(-2, -1)) / count.clamp_min(1)
     return torch.stack([(count / (rows * columns)).sqrt(), 4 * square.clamp_min(0).sqrt(), torch.log1p(slope) / 2], dim=-1)
+
+
+def gel_input(gel: torch.Tensor) -> torch.Tensor:
+    """What decides how far a gel gives way, each brought to about 1: log of its thickness, height of its dome, hardness (by 10 to 25 points
+    the log of its modulus grows evenly to 8 %); and 1. All four are 0 of a gel that is not known.
+
+    Args:
+        gel: `learn.data.Gel` of each press, shape (B, 3).
+    Returns:
+        Shape (B, GELS).
+    """
+    known = torch.isfinite(gel).all(dim=-1, keepdim=True)
+    thickness, edge, shore = gel.unbind(dim=-1)
+    from_usual = (torch.log(thickness / GEL[0]), (thickness - edge) - (GEL[0] - GEL[1]), shore - GEL[2])
+    told = torch.stack([number / unit for number, unit in zip(from_usual, GEL_UNITS, strict=True)], dim=-1)
+    return torch.cat([torch.where(known, told, torch.zeros_like(told)), known.to(gel.dtype)], dim=-1)
 
 
 def last_of(values: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gelsim.dataset import gel_facts
 from gelsim.errors import GelsimError
+from gelsim.scene_file import PRESET_SECTIONS, build_scene, load_scene, read_layer
 from learn.checkpoint import load
 from learn.config import LearnError
-from learn.data import HARDEST, choose
+from learn.data import HARDEST, Gel, choose, gel_of
 from learn.estimate import batches, estimate, pick_device
 from learn.novelty import novelty_from_plain
 from learn.video import Source, sources
@@ -37,6 +40,18 @@ def shipped_model(name: str) -> Path:
     raise LearnError(f"--model {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
 
 
+def gel_of_sensor(name: str) -> Gel:
+    """The gel of a sensor preset, by name, or of a sensor or scene file.
+
+    Raises:
+        SceneError: There is none, or it cannot be used.
+    """
+    # A sensor file fills some sections of a scene; what it leaves out is no preset's.
+    whole = name.endswith(".toml") and not set(read_layer(name)) <= set(PRESET_SECTIONS)
+    scene = load_scene(name) if whole else build_scene({"sensor": {"preset": name}})
+    return gel_of(gel_facts(scene.gel))
+
+
 def predict(
     model: Path,
     videos: Sequence[Path],
@@ -44,20 +59,27 @@ def predict(
     background: Path | None = None,
     start: float = 0.0,
     seconds: float | None = None,
+    sensor: str | None = None,
     device: str = "auto",
 ) -> Iterator[dict[str, Any]]:
     """One answer a press, as they come.
 
+    Args:
+        sensor: Whose gel it is (`gel_of_sensor`); None: what a press itself says of it, if anything.
     Yields:
         source, status ("ok", "no contact" or "unreadable"), note; when ok also shore_00, spread (None: the network knows none), frames,
         novelty (distance over the threshold; None: not fitted), unlike_training, true (None: unknown).
     Raises:
-        LearnError: The checkpoint cannot be used.
+        LearnError, SceneError: The checkpoint or the sensor cannot be used, or the network takes no gel.
     """
+    gel = None if sensor is None else gel_of_sensor(sensor)
     checkpoint, where = load(model), pick_device(device)
     network = checkpoint.build().to(where)
     novelty = novelty_from_plain(checkpoint.novelty)
     inputs, repeat = checkpoint.config.input, checkpoint.config.model.model == "paper"
+    asks = checkpoint.config.model.show_gel and not repeat
+    if gel is not None and not asks:
+        raise LearnError(f"--sensor {sensor}: {model.name} takes no gel; leave it out")
     for video in videos:
         for name, read in _listed(video, inputs, background, start, seconds):
             try:
@@ -74,6 +96,7 @@ def predict(
                 )
                 yield {"source": source.name, "status": "no contact", "note": note, "true": source.true}
                 continue
+            press = replace(press, gel=source.gel if gel is None else gel)
             said = estimate(network, batches([press], where))
             spread = float(said.spread[0]) * checkpoint.spread_factor
             distance = None if novelty is None else float(novelty.distance(said.statistics)[0]) / novelty.threshold
@@ -87,7 +110,7 @@ def predict(
                 "novelty": distance,
                 "unlike_training": unlike,
                 "true": source.true,
-                "note": _note(float(said.mean[0]), distance if unlike else None),
+                "note": _note(float(said.mean[0]), distance if unlike else None, asks and not np.isfinite(press.gel).all()),
             }
 
 
@@ -103,12 +126,14 @@ def _listed(video: Path, *options: Any) -> Iterator[tuple[str, Callable[[], Sour
         yield str(video), refuse
 
 
-def _note(mean: float, distance: float | None) -> str:
+def _note(mean: float, distance: float | None, untold: bool) -> str:
     notes = []
     if distance is not None:
         notes.append(f"unlike anything it was trained on ({distance:.1f} times the distance of its validation presses): do not trust this")
     if mean > HARDEST:
         notes.append(f"harder than any silicone it was trained on ({HARDEST:g})")
+    if untold:
+        notes.append("the gel is not known (--sensor tells it)")
     return "; ".join(notes)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gelsim.errors import DatasetError
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import Config, LearnError
-from learn.data import Batch, Press, collate
+from learn.data import Batch, Press, collate, gel_of
 from learn.frames import FIXED_POINT, equal_steps, loading
 from learn.recordings import Archive
 
@@ -47,7 +47,7 @@ class Stream:
         """The presses at these positions, each padded to the pictures that the network takes of one."""
         config, inputs = self._config, self._config.input
         looks = np.zeros(len(positions), LOOK)
-        members, chosen, lengths, targets, rigid = [], np.zeros((len(positions), 1 + inputs.frames), np.int64), [], [], []
+        members, chosen, lengths, targets, rigid, gels = [], np.zeros((len(positions), 1 + inputs.frames), np.int64), [], [], [], []
         for slot, position in enumerate(positions):
             pool, number = self.member(position)
             part, rng = self._archives[pool], np.random.default_rng([config.train.seed, 2, position])
@@ -63,10 +63,12 @@ class Stream:
             row = part.rows[number]
             targets.append(np.nan if row["shore_00"] is None else float(row["shore_00"]))
             rigid.append(bool(row["rigid"]))
+            gels.append(gel_of(row.get("gel")))
         with torch.no_grad():
             noises = [(noise.flat, noise.shot) for noise in (self._archives[pool].noises[number] for pool, number in members)]
             stack = randomise(self._pictures.take(members, chosen), looks, noises, config.augment)
-            return _batch(stack, torch.tensor(lengths), torch.tensor(targets), torch.tensor(rigid), inputs.deadband_levels)
+            gel = _hidden(torch.tensor(gels), looks)
+            return _batch(stack, torch.tensor(lengths), torch.tensor(targets), torch.tensor(rigid), gel, inputs.deadband_levels)
 
     def member(self, position: int) -> tuple[int, int]:
         """Archive, and number in it, of the press at a position."""
@@ -128,7 +130,7 @@ def varied(presses: Sequence[Press], seeds: Sequence[int], config: Config, devic
         looks = np.stack([draw_look(np.random.default_rng([*seeds, first + number]), config.augment) for number in range(len(part.target))])
         stack = torch.cat([part.background[:, None], part.pictures], dim=1)
         stack = randomise(stack, looks, [(0.0, 0.0)] * len(looks), config.augment)
-        batches.append(_batch(stack, part.lengths, part.target, part.rigid, config.input.deadband_levels))
+        batches.append(_batch(stack, part.lengths, part.target, part.rigid, _hidden(part.gel, looks), config.input.deadband_levels))
     return batches
 
 
@@ -144,7 +146,14 @@ def share(step: int, batch: int, rank: int = 0, world: int = 1) -> range:
     return range(start, start + count)
 
 
-def _batch(stack: torch.Tensor, lengths: torch.Tensor, target: torch.Tensor, rigid: torch.Tensor, deadband: float) -> Batch:
+def _hidden(gel: torch.Tensor, looks: NDArray) -> torch.Tensor:
+    """Gels of presses (B, 3), NaN where their look hides them."""
+    return gel.masked_fill(torch.from_numpy(looks["hide_gel"][:, None].copy()).to(gel.device), torch.nan)
+
+
+def _batch(
+    stack: torch.Tensor, lengths: torch.Tensor, target: torch.Tensor, rigid: torch.Tensor, gel: torch.Tensor, deadband: float
+) -> Batch:
     """From no-contact frames and pictures, shape (B, 1 + T, 3, h, w)."""
     device = stack.device
     background, pictures, lengths = stack[:, 0].contiguous(), stack[:, 1:], lengths.to(device)
@@ -152,4 +161,4 @@ def _batch(stack: torch.Tensor, lengths: torch.Tensor, target: torch.Tensor, rig
     signal = ((pictures - background[:, None]).abs() - deadband).clamp_min(0).mean(dim=(2, 3, 4))
     pictures = torch.where(there[:, :, None, None, None], pictures, torch.zeros_like(pictures))
     signal = torch.where(there, signal, torch.zeros_like(signal))
-    return Batch(pictures, background, signal, lengths, target.to(device, torch.float32), rigid.to(device))
+    return Batch(pictures, background, signal, lengths, target.to(device, torch.float32), rigid.to(device), gel.to(device, torch.float32))

@@ -17,8 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.dataset import load_dataset, read_episode
+from gelsim.dataset import gel_facts, load_dataset, read_episode
+from gelsim.errors import GelsimError
+from gelsim.scene_file import load_scene
 from learn.config import InputConfig, LearnError
+from learn.data import UNKNOWN_GEL, Gel, gel_of
 from learn.frames import change_signal, fit_picture, levels_of
 from learn.recordings import Recording, record_episode, with_noise
 
@@ -41,6 +44,8 @@ class Source:
     recording: Recording
     true: float | None = None
     """Shore 00 where the source knows it."""
+    gel: Gel = UNKNOWN_GEL
+    """Of the sensor, where the source knows it: by its row, or by the scene.toml beside pictures of `gelsim render`."""
 
 
 def sources(
@@ -71,7 +76,7 @@ def sources(
 def _episode(path: Path, name: str, inputs: InputConfig) -> Source:
     episode = read_episode(path)
     recording = with_noise(record_episode(episode, inputs), [3, episode.row["index"]], inputs)
-    return _checked(Source(name, recording, episode.row["shore_00"]))
+    return _checked(Source(name, recording, episode.row["shore_00"], gel_of(episode.row.get("gel"))))
 
 
 def _recorded(path: Path, frames: Iterator[NDArray[np.uint8]], inputs: InputConfig, background: Path | None) -> Source:
@@ -89,7 +94,16 @@ def _recorded(path: Path, frames: Iterator[NDArray[np.uint8]], inputs: InputConf
         empty = levels[0]
     else:
         empty = levels_of(fit_picture(_picture(background), inputs.picture))
-    return _checked(Source(str(path), Recording(empty, levels, change_signal(levels, empty, inputs.deadband_levels))))
+    recording = Recording(empty, levels, change_signal(levels, empty, inputs.deadband_levels))
+    return _checked(Source(str(path), recording, gel=_gel_beside(path)))
+
+
+def _gel_beside(path: Path) -> Gel:
+    """The gel of the scene that a folder of `gelsim render` keeps; without one that can be read the pictures are still good."""
+    try:
+        return gel_of(gel_facts(load_scene(path / "scene.toml").gel))
+    except GelsimError:
+        return UNKNOWN_GEL
 
 
 def _checked(source: Source) -> Source:

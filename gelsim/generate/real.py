@@ -25,10 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.dataset import episode_file, survey, write_episode, write_meta
+from gelsim.dataset import episode_file, gel_facts, survey, write_episode, write_meta
 from gelsim.errors import SceneError
 from gelsim.randomize import SPLITS
 from gelsim.results import Episode
+from gelsim.scene_file import build_scene
 from gelsim.tables import read_csv
 
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".webm")
@@ -52,11 +53,13 @@ Progress = Callable[[str, int, int], None]
 
 
 def convert(
-    source: Path, out: Path, *, resolution: tuple[int, int] = (320, 240), sensor: str = "real", resume: bool = False,
+    source: Path, out: Path, *, resolution: tuple[int, int] = (320, 240), sensor: str | None = None, resume: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Converts a folder of recordings; returns what the command reports.
 
+    Args:
+        sensor: That took them, a preset or the path of a sensor file, from which rows have their gel; None: it is not known.
     Raises:
         SceneError: There is nothing to convert, labels.csv is wrong, or the folder cannot be used. DatasetError: it cannot be written.
     """
@@ -71,13 +74,14 @@ def convert(
         "domain": "real", "fps": 30.0, "resolution": list(resolution), "noise": "own", "plan": None, "seed": None,
         "recordings": len(items),
     }  # fmt: skip
+    eye = {"sensor": "real"} if sensor is None else _eye(sensor)
     done = {row["index"] for row in survey(out).rows} if resume else set()
     failures = []
     splits = _splits([labels for _, labels in items])
     for index, (path, labels) in enumerate(items):
         if index not in done:
             try:
-                episode = read_recording(path, labels, index, resolution, sensor, splits[index])
+                episode = read_recording(path, labels, index, resolution, eye, splits[index])
                 write_episode(out, episode)
             except _Unusable as problem:
                 failures.append({"index": index, "seed": None, "status": "UNUSABLE", "message": f"{path.relative_to(source)}: {problem}"})
@@ -97,6 +101,11 @@ def summary(report: dict[str, Any]) -> str:
     lines = [f"{report['out']}: {report['episodes']} of {report['asked']} recordings"]
     lines += [f"not used: {row['message']}" for row in report["failures"]]
     return "\n".join(lines)
+
+
+def _eye(sensor: str) -> dict[str, Any]:
+    """What rows say of the sensor: its name, without the folder it lies in, and its gel."""
+    return {"sensor": Path(sensor).stem, "gel": gel_facts(build_scene({"sensor": {"preset": sensor}}).gel)}
 
 
 class _Unusable(Exception):
@@ -189,15 +198,15 @@ def _splits(labels: list[dict[str, Any]]) -> list[str]:
 # ---- one recording ----
 
 
-def read_recording(path: Path, labels: dict[str, Any], index: int, resolution: tuple[int, int], sensor: str, split: str) -> Episode:
-    """The press in a recording."""
+def read_recording(path: Path, labels: dict[str, Any], index: int, resolution: tuple[int, int], eye: dict[str, Any], split: str) -> Episode:
+    """The press in a recording; `eye`: fields of its row that say which sensor saw it."""
     frames, fps = _video(path, resolution) if path.is_file() else _pictures(path, resolution)
     first, last, quiet = find_press(frames, labels.get("no_contact"), labels.get("first"), labels.get("last"))
     shown = frames[first : last + 1]
     count = len(shown)
     row = {
         "index": index, **{key: labels[key] for key in ("object", "group", "shape", "radius_mm", "shore_00", "rigid", "motion")},
-        "domain": "real", "frames": count, "peak_force_n": None, "mechanics": f"real-{index:06d}", "sensor": sensor,
+        "domain": "real", "frames": count, "peak_force_n": None, "mechanics": f"real-{index:06d}", **eye,
         "file": episode_file(index), "split": split, "source": path.name,
     }  # fmt: skip
     unknown = np.full(count, np.nan)

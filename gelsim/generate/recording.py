@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim import materials
-from gelsim.dataset import episode_file
+from gelsim.dataset import episode_file, gel_facts
 from gelsim.errors import MeshingError, SceneError, SolveError, SolveStatus
 from gelsim.generate.light import Studio, noise_of
 from gelsim.motion import Motion, pack, unpack
@@ -200,7 +200,8 @@ def pictured(
         pixels = np.stack([marker_pixels(scene, membrane) for membrane in membranes])
     row = row | {
         "frames": len(approach), "peak_force_n": round(float(-force[:, 2].min()), 6), "file": episode_file(row["index"]),
-        "peak_approach_mm": round(float(places[-1]) / MM, 6), **({"pictures": False} if studio is None else {}),
+        "peak_approach_mm": round(float(places[-1]) / MM, 6), "gel": gel_facts(scene.gel),
+        **({"pictures": False} if studio is None else {}),
     }  # fmt: skip
     assert places[0] == 0.0, "the first frame is before first touch"
     frames = np.stack([images[i] for i in where])

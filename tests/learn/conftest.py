@@ -19,6 +19,11 @@ from learn.train import train
 
 ROWS, COLUMNS, WIDTH_MM = 36, 48, 18.4
 GEL = 17.0
+GELS = (
+    {"thickness_mm": 2.1, "edge_thickness_mm": 0.8, "shore_00": 13.0},
+    {"thickness_mm": 2.7, "edge_thickness_mm": 1.4, "shore_00": 19.0},
+)
+"""Said of the presses in turn; they all look as if seen through one."""
 COLOURED = np.array([[1.0, 0.2, 0.1], [0.1, 0.9, 0.3], [0.2, 0.2, 1.0]])
 
 
@@ -62,7 +67,7 @@ def fake_row(
 ) -> dict:
     return {
         "index": index, "object": thing, "group": 1, "shape": shape, "motion": motion, "domain": domain,
-        "mechanics": mechanics or f"run-{index}", "sensor": "fake", "file": episode_file(index),
+        "mechanics": mechanics or f"run-{index}", "sensor": "fake", "file": episode_file(index), "gel": GELS[index % len(GELS)],
     }  # fmt: skip
 
 

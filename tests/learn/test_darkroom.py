@@ -12,23 +12,28 @@ import numpy as np
 import pytest
 from dataset_fixtures import TINY, put_fields
 
-from gelsim.dataset import load_dataset, survey, write_episode, write_meta
+from gelsim.dataset import gel_facts, load_dataset, survey, write_episode, write_meta
 from gelsim.errors import DatasetError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.darkroom import small
 from gelsim.generate.light import Studio
-from gelsim.generate.relight import own_catalogue, plan_of
+from gelsim.generate.relight import own_catalogue, plan_of, relit_episode
 from gelsim.generate.run import keep_plan, kept_plan
 from gelsim.motion import Motion
 from gelsim.randomize import Catalogue, Press, load_plan
+from gelsim.scene_file import build_scene
 from learn import recordings
 from learn.config import configure
 from learn.recordings import Archive, archive, camera_noise
+from learn.stream import Stream
 
 INPUTS = configure(picture=(24, 32), widths=(8, 16)).input
 PLAN = f"""base = {json.dumps(TINY)}
 name = "own"
 resolution = [160, 120]
+[sensors]
+"gel.thickness_mm" = 2.2
+"gel.shore_00" = 14.0
 [episode]
 "camera.noise_sd" = [{{ uniform = [1.0, 2.0] }}, {{ uniform = [1.0, 2.0] }}, {{ uniform = [2.0, 3.0] }}]
 "camera.exposure" = {{ log_uniform = [0.9, 1.1], relative = "times" }}
@@ -101,6 +106,21 @@ def test_drawn_is_what_reading_its_pictures_gives(datasets: tuple[Path, Path], d
         np.testing.assert_allclose(drawn.features[number][:, 4:], seen.features[number][:, 4:], atol=2e-6)  # markers, float32 in the file
     # Not that near to another episode, whose exposure and markers are others.
     assert rms(drawn.recording(0).background - seen.recording(1).background) > 3.0
+
+
+def test_rows_tell_the_gel_of_the_mechanics_whichever_sensor_sees_it(datasets: tuple[Path, Path], drawn: Archive) -> None:
+    data = load_dataset(datasets[0])
+    catalogue = own_catalogue(data, plan_of(data))
+    gels = [gel_facts(catalogue.press(number).scene.gel) for number in range(PRESSES)]
+    for rows in (drawn.rows, load_dataset(datasets[1]).rows):
+        assert [row["gel"] for row in rows] == [gels[int(row["mechanics"])] for row in rows]
+    assert Stream([drawn], configure(picture=(24, 32), widths=(8, 16), hide_gel=0.0)).batch([0]).gel.tolist()[0] == pytest.approx(
+        list(gels[0].values())  # float32 in the batch
+    )
+    assert gels[0]["shore_00"] == 14.0 and gels[0] != gel_facts(build_scene({"sensor": {"preset": "gelsight_mini"}}).gel)
+    dark: Any = None
+    relit = relit_episode(data, 0, "gelsight_mini", catalogue, dark)
+    assert relit.episode.row["gel"] == gels[0] and relit.episode.row["sensor"] == "gelsight_mini"
 
 
 def test_noise_is_that_of_the_pixels_the_camera_has(datasets: tuple[Path, Path], drawn: Archive) -> None:

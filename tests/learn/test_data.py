@@ -14,7 +14,7 @@ from gelsim.dataset import load_dataset
 from learn import recordings
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import LearnError, configure
-from learn.data import Batch, choose, collate, sides
+from learn.data import Batch, choose, collate, gel_of, held_presses, sides
 from learn.recordings import Archive, Noise, archive, camera_noise, record_episode
 from learn.stream import Stream, share
 
@@ -68,6 +68,37 @@ def test_without_randomisation_a_press_comes_as_a_test_sees_it(part: Archive) ->
         assert torch.equal(batch.pictures[slot], alone.pictures[0]) and torch.equal(batch.background[slot], alone.background[0])
         # float32 means over 2,304 numbers of up to 255 levels.
         assert torch.allclose(batch.signal[slot], alone.signal[0], rtol=1e-4)
+
+
+def test_gels_are_those_of_the_rows_and_hidden_at_their_share(part: Archive) -> None:
+    stream, positions = Stream([part], CONFIG), range(400)
+    gels = stream.batch(positions).gel
+    wanted = torch.tensor([gel_of(part.rows[stream.member(position)[1]]["gel"]) for position in positions])
+    hidden = torch.isnan(gels).any(dim=1)
+    assert torch.isnan(gels[hidden]).all() and torch.equal(gels[~hidden], wanted[~hidden]) and len(wanted.unique(dim=0)) == 2
+    # Of 400 draws at 0.2: four standard deviations of their share.
+    assert float(hidden.double().mean()) == pytest.approx(CONFIG.augment.hide_gel, abs=4 * np.sqrt(0.2 * 0.8 / 400))
+    # By the press's own generator, whatever is drawn beside it.
+    alone = torch.cat([Stream([part], CONFIG).batch((position,)).gel for position in range(30)])
+    assert torch.equal(alone.isnan(), gels[:30].isnan()) and torch.equal(alone.nan_to_num(), gels[:30].nan_to_num())
+    for changes, share_hidden in (({"hide_gel": 0.0}, 0), ({"hide_gel": 1.0}, 1), ({"hide_gel": 1.0, "augment": False}, 0)):
+        found = Stream([part], replace(CONFIG, augment=replace(CONFIG.augment, **changes))).batch(range(20)).gel
+        assert float(found.isnan().double().mean()) == share_hidden
+
+
+def test_hiding_the_gel_changes_no_picture(part: Archive) -> None:
+    never = replace(CONFIG, augment=replace(CONFIG.augment, hide_gel=0.0))
+    one, other = (Stream([part], config).batch(range(20)) for config in (CONFIG, never))
+    assert one.gel.isnan().any() and all(same(one, slot, other, slot) for slot in range(20))
+
+
+def test_a_test_is_told_the_gel_of_its_row_and_none_where_there_is_none(part: Archive) -> None:
+    rows = [{key: value for key, value in row.items() if key != "gel" or number} for number, row in enumerate(part.rows)]
+    presses = held_presses(replace(part, rows=rows), CONFIG.input, False, 0)
+    told = [press.gel for press in presses if press is not None]
+    assert np.isnan(told[0]).all() and told[1] == gel_of(rows[1]["gel"]) and told[1] != told[2]
+    assert collate([press for press in presses[:2] if press is not None]).gel.isnan().all(dim=1).tolist() == [True, False]
+    assert np.isnan(gel_of({"thickness_mm": 2.0, "edge_thickness_mm": 1.0, "shore_00": None})).all()
 
 
 def test_devices_share_a_batch_without_overlap() -> None:

@@ -14,11 +14,12 @@ from gelsim.dataset import load_dataset
 from learn.config import LearnError, configure
 from learn.data import HARDEST, Batch, sides
 from learn.features import press_features
-from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, load_vgg, parameter_count, shape_of
+from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, gel_input, load_vgg, parameter_count, shape_of
 from learn.recordings import archive
 from learn.stream import Stream
 
 CONFIG = configure(**TINY)
+GEL = torch.tensor([2.4, 1.0, 17.0])
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +34,9 @@ def with_output(
     count, steps = mean.shape
     nothing = torch.zeros((count, steps, 3, 1, 1))
     batch = Batch(
-        nothing, nothing[:, 0], torch.zeros(count, steps), torch.tensor(lengths), torch.tensor(target), torch.full((count,), rigid)
-    )
+        nothing, nothing[:, 0], torch.zeros(count, steps), torch.tensor(lengths), torch.tensor(target), torch.full((count,), rigid),
+        torch.full((count, 3), torch.nan),
+    )  # fmt: skip
     return Output(mean, spread, torch.zeros(count, 1)), batch
 
 
@@ -53,6 +55,38 @@ def test_the_shape_that_the_network_sees_is_that_of_the_baselines(batch: Batch) 
     # Sums of 768 float32 numbers.
     assert found[:, 0] ** 2 == pytest.approx(told[:, 1], abs=1e-5) and found[:, 1] / 4 == pytest.approx(told[:, 3], abs=1e-4)
     assert np.expm1(2 * found[:, 2]) == pytest.approx(told[:, 2], rel=1e-4)
+
+
+def test_a_gel_becomes_four_numbers_and_one_that_is_not_known_four_zeros() -> None:
+    nan = torch.nan
+    gels = [[2.4, 1.0, 17.0], [2.4 * np.exp(0.2), 1.0, 12.0], [nan, 1.0, 17.0], [2.4, nan, 17.0], [2.4, 1.0, nan]]
+    found = gel_input(torch.tensor(gels, dtype=torch.float32))
+    rise = (2.4 * np.exp(0.2) - 2.4) / 0.5
+    # float32 of differences of numbers of 2.
+    assert torch.allclose(found[:2], torch.tensor([[0, 0, 0, 1], [1, rise, -1, 1]], dtype=torch.float32), atol=1e-6)
+    assert not found[2:].any()
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_gel_moves_what_is_read_where_the_network_is_told(batch: Batch, told: bool) -> None:
+    torch.manual_seed(0)
+    network = build(configure(**TINY, show_gel=told)).eval()
+    gels = [
+        GEL,
+        torch.tensor([3.1, 1.0, 17.0]),
+        torch.tensor([2.4, 1.75, 17.0]),
+        torch.tensor([2.4, 1.0, 22.5]),
+        torch.full((3,), torch.nan),
+    ]
+    with torch.no_grad():
+        read = [network.estimate(network(replace(batch, gel=gel.expand(8, 3))), batch.lengths)[0] for gel in gels]
+    assert all(torch.isfinite(mean).all() for mean in read)
+    for number, mean in enumerate(read):
+        assert all(torch.equal(mean, other) != told for other in read[:number])
+    if told:  # what is not known is not guessed either: a NaN anywhere is as good as three
+        with torch.no_grad():
+            half = network.estimate(network(replace(batch, gel=torch.tensor([3.1, torch.nan, 20.0]).expand(8, 3))), batch.lengths)[0]
+        assert torch.equal(half, read[-1])
 
 
 def test_padding_does_not_change_an_output(batch: Batch) -> None:
@@ -182,7 +216,7 @@ def test_the_papers_network_runs_and_takes_its_weights(tmp_path: Path) -> None:
     load_vgg(other, tmp_path / "w.pth")
     assert torch.equal(other.state_dict()["features.28.weight"], one)
     pictures = 255 * torch.rand(1, 3, 3, 224, 224)
-    batch = Batch(pictures, pictures[:, 0], torch.ones(1, 3), torch.tensor([3]), torch.tensor([30.0]), torch.tensor([False]))
+    batch = Batch(pictures, pictures[:, 0], torch.ones(1, 3), torch.tensor([3]), torch.tensor([30.0]), torch.tensor([False]), GEL[None])
     with torch.no_grad():
         # The first picture is subtracted: a change of all three alike changes nothing (up to float32 of a difference of 255 levels).
         a, b = (other(replace(batch, pictures=part)).mean for part in (pictures, pictures + 16.0))

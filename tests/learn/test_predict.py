@@ -16,9 +16,11 @@ from conftest import COLUMNS, ROWS, fake_dataset, fake_press, fake_row
 from PIL import Image
 
 from gelsim.dataset import load_dataset
+from gelsim.scene import Gel, Scene
+from gelsim.scene_file import dump_scene
 from learn import cli
 from learn.novelty import fit_novelty
-from learn.predict import in_words, predict
+from learn.predict import gel_of_sensor, in_words, predict
 from learn.video import MOST_SECONDS
 
 
@@ -53,6 +55,61 @@ def test_a_video_a_folder_and_an_episode_give_one_answer(fake_data: Path, tiny_r
     # The episode's own camera noise is drawn, the film's is not.
     assert answers[2]["shore_00"] == pytest.approx(answers[0]["shore_00"], abs=5) and answers[2]["true"] is not None
     assert "Shore 00" in in_words(answers[0]) and "true" in in_words(answers[2])
+
+
+def test_the_gel_is_told_by_a_sensor_or_by_what_is_read(fake_data: Path, tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    folder = tmp_path / "render"
+    (folder / "frames").mkdir(parents=True)
+    for number, frame in enumerate(press):
+        Image.fromarray(frame).save(folder / "frames" / f"{number:04d}.png")
+    (untold,) = ask(tiny_run, folder)
+    assert "the gel is not known" in in_words(untold)
+    thick, whole = Gel(thickness_mm=3.1, edge_thickness_mm=1.2, shore_00=22.0), tmp_path / "scene.toml"
+    whole.write_text(dump_scene(Scene(gel=thick)))
+    sensor = tmp_path / "sensor.toml"
+    sensor.write_text("[gel]\nthickness_mm = 3.1\nedge_thickness_mm = 1.2\nshore_00 = 22.0\n")
+    assert gel_of_sensor(str(whole)) == gel_of_sensor(str(sensor)) == (3.1, 1.2, 22.0)
+    assert gel_of_sensor("fingertip2017") == (2.4, 1.0, 17.0)
+    told = [ask(tiny_run, folder, sensor=str(file))[0] for file in (whole, sensor)]
+    assert told[0] == told[1] | {"note": told[0]["note"]} and "the gel" not in told[0]["note"]
+    (usual,) = ask(tiny_run, folder, sensor="fingertip2017")
+    assert len({answer["shore_00"] for answer in (untold, told[0], usual)}) == 3
+    # What `gelsim render` wrote says it itself; --sensor beats it; a scene that cannot be read takes nothing away.
+    (folder / "scene.toml").write_text(whole.read_text())
+    assert ask(tiny_run, folder)[0]["shore_00"] == told[0]["shore_00"]
+    assert ask(tiny_run, folder, sensor="fingertip2017")[0]["shore_00"] == usual["shore_00"]
+    (folder / "scene.toml").write_text("gel = 3")
+    assert ask(tiny_run, folder)[0] == untold
+    # So do the rows of a dataset and of an episode.
+    index = load_dataset(fake_data).rows[4]["index"]
+    for path in (fake_data, fake_data / load_dataset(fake_data).rows[4]["file"]):
+        (answer,) = (a for a in ask(tiny_run, path) if a["source"].endswith((f"#{index}", ".tar")))
+        assert answer["status"] == "ok" and "the gel" not in answer["note"]
+
+
+def test_a_sensor_is_refused_where_it_tells_nobody(tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for model, sensor, words in (
+        (str(tiny_run / "model.pt"), "fingertip2018", "'fingertip2018'"),
+        (str(tiny_run / "model.pt"), str(tmp_path / "none.toml"), "cannot be read"),
+        (str(old_style(tiny_run, tmp_path)), "fingertip2017", "takes no gel"),
+    ):
+        assert cli.main(["predict", "--model", model, "--sensor", sensor, "x.mp4"]) == 2
+        told = capsys.readouterr().err
+        assert words in told and told.count("\n") == 1, told
+
+
+def old_style(run: Path, folder: Path) -> Path:
+    """A checkpoint from before the gel was told: its config has no word of it, its network four inputs less."""
+    kept = torch.load(run / "model.pt", weights_only=True)
+    del kept["config"]["model"]["show_gel"], kept["config"]["augment"]["hide_gel"]
+    kept["network"]["embed.weight"] = kept["network"]["embed.weight"][:, :-4].clone()
+    torch.save(kept, folder / "old.pt")
+    return folder / "old.pt"
+
+
+def test_a_network_that_takes_no_gel_does_not_miss_it(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    (answer,) = predict(old_style(tiny_run, tmp_path), [film(tmp_path / "press.mkv", press)])
+    assert answer["status"] == "ok" and "the gel" not in answer["note"]
 
 
 def test_odd_videos_get_a_clear_answer_each(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 from gelsim.cli import main as gelsim
 from learn.checkpoint import load
+from learn.data import UNKNOWN_GEL, Press
+from learn.estimate import batches, estimate
 from learn.predict import predict, shipped_model
 
 ROW_RMSE = 8.0
@@ -19,6 +23,25 @@ def test_it_is_small_and_says_what_it_was_trained_on() -> None:
     assert path.stat().st_size < 20e6
     checkpoint = load(path)
     assert checkpoint.provenance["data"][0]["domain"] == "sim" and checkpoint.novelty is not None and checkpoint.spread_factor > 0
+
+
+def test_it_reads_as_it_did_when_it_was_trained() -> None:
+    """A made-up dent: what was read of it before networks were told the gel, which this one is not."""
+    checkpoint = load(shipped_model("default"))
+    rows, columns = checkpoint.config.input.picture
+    y, x = np.mgrid[:rows, :columns] / columns
+    away = (x - 0.5)[..., None], (y - 0.4)[..., None]
+    lamps = np.array([[1, 0.2], [-0.5, 0.9], [-0.4, -1]])
+    dent = 600 * np.exp(-(away[0] ** 2 + away[1] ** 2) / 0.01) * (away[0] * lamps[:, 0] + away[1] * lamps[:, 1])
+    background = np.broadcast_to(np.array([120.0, 110, 100]), (rows, columns, 3)).astype(np.float32)
+    pictures = (background + np.linspace(0.2, 1, 6)[:, None, None, None] * dent).astype(np.float32)
+    signal = np.maximum(np.abs(pictures - background) - 3, 0).mean((1, 2, 3)).astype(np.float32)
+    assert not checkpoint.config.model.show_gel
+    network, device = checkpoint.build(), torch.device("cpu")
+    for gel in (UNKNOWN_GEL, (3.1, 1.2, 22.0)):
+        said = estimate(network, batches([Press(background, pictures, signal, gel=gel)], device))
+        # Sums of float32 in another order, on another machine.
+        assert said.mean[0] == pytest.approx(60.4527, abs=0.01) and said.spread[0] == pytest.approx(14.0091, abs=0.01)
 
 
 @pytest.mark.slow

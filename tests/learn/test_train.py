@@ -62,6 +62,26 @@ def test_a_run_writes_what_it_promises(tiny_run: Path) -> None:
     assert str(tiny_run) not in (tiny_run / "run.json").read_text()  # no path of this machine travels with a checkpoint
 
 
+def test_a_config_from_before_the_gel_was_told_means_that_it_is_not(tiny_run: Path) -> None:
+    config = configure(**TINY)
+    plain = to_plain(config)
+    assert config.model.show_gel and plain["augment"]["hide_gel"] == 0.2
+    del plain["model"]["show_gel"], plain["augment"]["hide_gel"]
+    old = from_plain(plain)
+    assert not old.model.show_gel and old.augment.hide_gel == 0.0
+    assert replace(old.model, show_gel=True) == config.model and replace(old.augment, hide_gel=0.2) == config.augment
+    # Any other field that lacks is still an error.
+    del plain["model"]["show_shape"]
+    with pytest.raises(LearnError, match="section 'model' should hold"):
+        from_plain(plain)
+    # A network that is told cannot pass for one that is not.
+    told = torch.load(tiny_run / "model.pt", weights_only=True)
+    del told["config"]["model"]["show_gel"]
+    torch.save(told, tiny_run.parent / "stripped.pt")
+    with pytest.raises(LearnError, match="embed.weight"):
+        checkpoint.load(tiny_run.parent / "stripped.pt").build()
+
+
 def test_an_existing_run_is_not_touched(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
     with pytest.raises(LearnError, match="--resume"):
         train(fake_data, tiny_run, configure(**TINY, steps=6))

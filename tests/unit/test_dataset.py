@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim import dataset
-from gelsim.dataset import Survey, episode_file, load_dataset, read_episode, survey, write_episode, write_meta, write_tar
+from gelsim import dataset, materials
+from gelsim.dataset import Survey, episode_file, gel_facts, load_dataset, read_episode, survey, write_episode, write_meta, write_tar
 from gelsim.dataset_sheet import dataset_facts, draw_dataset
 from gelsim.errors import DatasetError
 from gelsim.results import Episode
+from gelsim.scene import Gel
 from learn.config import InputConfig
 from learn.recordings import record_episode
+
+GEL: dict[str, Any] = {"thickness_mm": 2.4, "edge_thickness_mm": 1.0, "shore_00": 17.0}
 
 
 def make(index: int = 0, count: int = 3, **fields: Any) -> Episode:
@@ -54,6 +57,42 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         for name in ("frames", "background", "time", "approach", "force", "marker_pixels", "noise"):
             np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
     assert data.member(0, "scene.toml") == b"seed = 0\n"
+
+
+@pytest.mark.parametrize(
+    ("gel", "said"),
+    [
+        (None, "expected a table"),
+        ({"thickness_mm": 2.4}, "expected a table of thickness_mm, edge_thickness_mm, shore_00"),
+        (GEL | {"maker": "me"}, "expected a table"),
+        (GEL | {"thickness_mm": 0.0}, r"gel.thickness_mm = 0.0: allowed is 0.5 … 20 mm"),
+        (GEL | {"thickness_mm": float("nan")}, "gel.thickness_mm = nan"),
+        (GEL | {"thickness_mm": None}, "gel.thickness_mm = None"),
+        (GEL | {"edge_thickness_mm": float("inf")}, "gel.edge_thickness_mm = inf"),
+        (GEL | {"edge_thickness_mm": True}, "gel.edge_thickness_mm = True"),
+        (GEL | {"shore_00": -17.0}, "gel.shore_00 = -17.0: allowed is 1 … 99$"),
+        (GEL | {"shore_00": "17"}, "gel.shore_00 = '17'"),
+    ],
+)
+def test_a_row_tells_a_possible_gel_or_none(gel: Any, said: str, tmp_path: Path) -> None:
+    for known in (GEL, GEL | {"shore_00": None}):
+        assert read_episode(write_episode(tmp_path, make(gel=known))).row["gel"] == known
+    with pytest.raises(DatasetError, match=said):
+        write_episode(tmp_path, make(gel=gel))
+
+
+def test_what_a_row_tells_of_a_gel() -> None:
+    assert gel_facts(Gel()) == {"thickness_mm": 2.4, "edge_thickness_mm": 1.0, "shore_00": 17.0}
+    # A flat gel is as thick at its edge; what a reading means (the scale) is not what it is.
+    assert gel_facts(Gel(profile="flat", shore_00=30.0, modulus_scale=0.5)) == {
+        "thickness_mm": 2.4,
+        "edge_thickness_mm": 2.4,
+        "shore_00": 30.0,
+    }
+    by_modulus = gel_facts(Gel(youngs_modulus_kpa=materials.modulus_from_shore_00(40.0) / 1e3, modulus_scale=0.5))["shore_00"]
+    assert by_modulus == pytest.approx(40.0, abs=1e-9)
+    assert gel_facts(Gel(shore_a=45.0))["shore_00"] == pytest.approx(86.7, abs=0.05)  # where the scales meet (gelsim/materials.py)
+    assert gel_facts(Gel(youngs_modulus_kpa=1.0))["shore_00"] is None
 
 
 def still(count: int = 6) -> Episode:

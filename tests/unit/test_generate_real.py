@@ -84,6 +84,7 @@ def test_folders_of_pictures_with_labels(tmp_path: Path):
     labels.write_text("file,object,group,shape,shore_00,motion,no_contact,split\npress one,cup 1,3,frustum,33.5,robot,2,vessels\n")
     convert(tmp_path / "in", tmp_path / "out")
     row = load_dataset(tmp_path / "out").rows[0]
+    assert row["sensor"] == "real" and "gel" not in row
     assert (row["object"], row["group"], row["shape"], row["shore_00"], row["motion"], row["split"]) == (
         "cup 1", 3, "frustum", 33.5, "robot", "vessels",
     )  # fmt: skip
@@ -98,6 +99,20 @@ def test_folders_of_pictures_with_labels(tmp_path: Path):
         labels.write_text(text)
         with pytest.raises(SceneError, match=said):
             convert(tmp_path / "in", tmp_path / "out2")
+
+
+def test_a_lab_that_knows_its_gel_says_so(tmp_path: Path):
+    write_video(tmp_path / "in/flat_20_01.avi", frames_of_a_press())
+    (tmp_path / "ours.toml").write_text("[gel]\nthickness_mm = 3.0\nedge_thickness_mm = 1.5\nshore_00 = 20.0\n")
+    for sensor, name, gel in (
+        (str(tmp_path / "ours.toml"), "ours", (3.0, 1.5, 20.0)),  # its name, not where it lies
+        ("fingertip2017", "fingertip2017", (2.4, 1.0, 17.0)),
+    ):
+        convert(tmp_path / "in", tmp_path / name, sensor=sensor)
+        row = load_dataset(tmp_path / name).rows[0]
+        assert row["sensor"] == name and tuple(row["gel"].values()) == gel
+    with pytest.raises(SceneError, match="'fingertip2018'"):
+        convert(tmp_path / "in", tmp_path / "out", sensor="fingertip2018")
 
 
 def test_nothing_to_convert(tmp_path: Path):

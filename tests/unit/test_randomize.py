@@ -96,6 +96,16 @@ def test_hardness_scale_and_slope_change_gel_and_object_alike(presses: list):
         assert 0.4 <= gel.modulus_scale <= 1.2 and 0.92 - 1e-9 <= slope <= 1.08 + 1e-9
 
 
+def test_gels_of_another_sensor_are_no_gels_of_the_training():
+    """Each of the three numbers that a network may be told; `fixed` and assets/mini stay what they were."""
+    names = ("thickness_mm", "edge_thickness_mm", "shore_00")
+    trained, other, fixed, mini = (load_plan(name).sensor_fields for name in ("paper2017", "gap", "fixed", "mini"))
+    for name in names:
+        (low, high), (above, _) = (fields[f"gel.{name}"]["uniform"] for fields in (trained, other))
+        assert low < high < above and low <= fixed[f"gel.{name}"] <= high
+    assert [fixed[f"gel.{name}"] for name in names] == [2.4, 1.0, 17.0] and mini["gel.shore_00"] == 17.0
+
+
 def planned(tmp_path: Path, old: str, new: str) -> str:
     text = TINY.read_text()
     assert old in text
