@@ -1,10 +1,10 @@
 """Which difference of an unknown sensor moves the learner's readings? One field at a time, far outside of what training knew.
 
-    python docs/studies/gap_factors.py --out out/gap_factors [--model default]
+    python docs/studies/gap_factors.py --out out/gap_factors [--model default] [--sensor NAME]
 
 Renders cylinders and hemispheres of Shore 00 19, 40 and 61, pressed 2 mm deep (mode "path"), with the preset as it stands and with each
 change of plan `gap` for itself; has them read by a checkpoint; prints the readings of each shape, and how far they moved in the mean. What
-was rendered is kept.
+was rendered is kept. A network that takes the gel is told each scene's own; with --sensor fingertip2017 it is told that nothing changed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ CHANGES: dict[str, list[str]] = {
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--out", type=Path, required=True)
 parser.add_argument("--model", default="default")
+parser.add_argument("--sensor", help="whose gel a network is told (default: each scene's own)")
 given = parser.parse_args()
+told_gel = ["--sensor", given.sensor] if given.sensor else []
 
 
 def run(*words: str) -> str:
@@ -46,7 +48,7 @@ for name, flags in CHANGES.items():
         if not (folder / "report.json").is_file():
             _, shape, shore = folder.name.split("_")
             run("gelsim", "render", "--shape", shape, "--shore", shore, "--depth-mm", "2", "--frames", "8", "--out", str(folder), *flags)
-    told = json.loads(run("learn.cli", "predict", "--json", "--model", given.model, *map(str, folders)))
+    told = json.loads(run("learn.cli", "predict", "--json", "--model", given.model, *told_gel, *map(str, folders)))
     readings = np.array([press["shore_00"] for press in told["presses"]]).reshape(base.shape)
     base = readings if name == "base" else base
     cells = [", ".join(f"{value:.0f}" for value in row) for row in readings]
