@@ -39,6 +39,10 @@ RADII = ("hemisphere", "cylinder", "punch", "tube", "shell", "tomato", "cone", "
 """Shapes that have a radius_mm."""
 
 
+FOLLOWS = ("frames", "peak_force_n", "file", "peak_approach_mm", "gel", "pictures")
+"""What `pictured` puts into a row."""
+
+
 class PressFailed(Exception):
     """A press that gave nothing; the message says why."""
 
@@ -184,7 +188,7 @@ def pictured(
     Args:
         sensor: The scene with the lights that a light field is measured with.
         approach: Of every frame [m], shape (N,).
-        row: Without what follows from mechanics and pictures.
+        row: Without what FOLLOWS from mechanics and pictures.
         studio: None draws nothing: an episode without pictures and markers, whose light is drawn later.
     """
     motion = unpack(mechanics)

@@ -157,7 +157,7 @@ def relit_episode(
 ) -> recording.Made:
     """One episode, drawn again; `resolution` in place of its scene's."""
     row = data.rows[position]
-    kept = {key: value for key, value in row.items() if key not in ("frames", "peak_force_n", "file", "peak_approach_mm", "pictures")}
+    kept = {key: value for key, value in row.items() if key not in recording.FOLLOWS}
     if sensor is None:
         base = catalogue.press(int(row["mechanics"])).scene
         scene = scene_of(data.member(position, "scene.toml"))

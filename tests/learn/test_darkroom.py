@@ -121,6 +121,7 @@ def test_rows_tell_the_gel_of_the_mechanics_whichever_sensor_sees_it(datasets: t
     dark: Any = None
     relit = relit_episode(data, 0, "gelsight_mini", catalogue, dark)
     assert relit.episode.row["gel"] == gels[0] and relit.episode.row["sensor"] == "gelsight_mini"
+    assert list(relit.episode.row) == list(data.rows[0])  # byte for byte, so in one order
 
 
 def test_noise_is_that_of_the_pixels_the_camera_has(datasets: tuple[Path, Path], drawn: Archive) -> None:
