@@ -99,7 +99,7 @@ def test_hardness_scale_and_slope_change_gel_and_object_alike(presses: list):
 def test_gels_of_another_sensor_are_no_gels_of_the_training():
     """Each of the three numbers that a network may be told; `fixed` and assets/mini stay what they were."""
     names = ("thickness_mm", "edge_thickness_mm", "shore_00")
-    trained, other, fixed, mini = (load_plan(name).sensor_fields for name in ("paper2017", "gap", "fixed", "mini"))
+    trained, other, fixed, mini = (plan.sensor_fields | plan.press_fields for plan in map(load_plan, ("paper2017", "gap", "fixed", "mini")))
     for name in names:
         (low, high), (above, _) = (fields[f"gel.{name}"]["uniform"] for fields in (trained, other))
         assert low < high < above and low <= fixed[f"gel.{name}"] <= high
