@@ -8,6 +8,7 @@ displaces the constants of the one before. TOML has no null; the text "none" sta
 from __future__ import annotations
 
 import dataclasses
+import os
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -85,11 +86,25 @@ def read_layer(path: str | Path) -> Layer:
     path = Path(path)
     layer = read_toml(path, "scene file")
     _check_layer(layer)
+    return anchored(layer, path.parent.resolve())
+
+
+def anchored(layer: Layer, folder: Path) -> Layer:
+    """A layer whose paths were relative to a folder."""
+    found = dict(layer)
     for section, key in (("object", "mesh"), ("sensor", "preset")):
-        value = layer.get(section, {}).get(key)
-        if isinstance(value, str) and (value.endswith(".toml") if key == "preset" else value.lower() != "none"):
-            layer[section][key] = str((path.parent / value).resolve())
-    return layer
+        table = layer.get(section)
+        if isinstance(table, dict) and key in table:
+            found[section] = table | {key: from_folder(f"{section}.{key}", table[key], folder)}
+    return found
+
+
+def from_folder(name: str, value: Any, folder: Path) -> Any:
+    """A field's value; a path is taken from `folder`."""
+    if name not in ("object.mesh", "sensor.preset") or not isinstance(value, str):
+        return value
+    is_path = value.endswith(".toml") if name == "sensor.preset" else value.lower() != "none"
+    return os.path.normpath(folder / value) if is_path else value
 
 
 def scene_table(scene: Scene) -> Layer:

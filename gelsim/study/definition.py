@@ -21,7 +21,7 @@ from gelsim.distributions import check_fields
 from gelsim.errors import SceneError
 from gelsim.fields import nearest
 from gelsim.ledger import Row
-from gelsim.scene_file import Layer, read_layer, read_toml
+from gelsim.scene_file import Layer, anchored, from_folder, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
 
@@ -164,6 +164,10 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
         base = read_layer(path.parent / base)
     if not isinstance(base, dict):
         raise SceneError(f"{where}: scene = {base!r}: expected a table as in a scene file, or the path of one")
+    axes = {
+        name: values if isinstance(values, Mapping) else [from_folder(name, value, path.parent) for value in values]
+        for name, values in axes.items()
+    }
     return Study(
         name=path.stem,
         question=table["question"],
@@ -171,7 +175,7 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
         metrics=tuple(table["metrics"]),
         x=x,
         colour=colour,
-        base=base,
+        base=anchored(base, path.parent),
         cases=cases,
         seed=int(table.get("seed", 0)),
     )

@@ -116,7 +116,7 @@ def optimise(goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out:
     least = samples + NEIGHBOURS
     if evaluations <= least:
         raise SceneError(
-            f"--evaluations {evaluations}: {len(bounds)} fields take {samples} samples before the search, "
+            f"--evaluations {evaluations}: {samples} samples, {SAMPLES} a field, come before the search, "
             f"and {NEIGHBOURS} scenes at its end; allowed is more than {least}"
         )
     study = Study(
