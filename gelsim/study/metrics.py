@@ -100,6 +100,7 @@ for _signal in ("slope", "picture"):
         ("equal_depth", "d' per Shore point at equal depth"),
         ("equal_force", "d' per Shore point at equal force"),
         ("unknown_press", "d' per Shore point, force and depth unknown"),
+        ("unknown_radius", "d' per Shore point, radius unknown too (by 10 %)"),
         ("change", "change of a pixel per Shore point / noise"),
     ):
         METRICS[f"{_signal}_{_what}"] = Metric(f"{_signal}: {_said}", _dprime(_signal, _what))

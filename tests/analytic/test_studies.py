@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
 from gelsim.ledger import Row
@@ -17,12 +18,14 @@ from gelsim.optics.isp import srgb_tone
 from gelsim.results import Frame, Membrane
 from gelsim.study import runner, visible
 from gelsim.study.definition import load_study, nested
-from gelsim.study.discrimination import SLOPE_NOISE, sensitivity
+from gelsim.study.discrimination import RADIUS_UNKNOWN, SLOPE_NOISE, combine, sensitivity
 from gelsim.study.marker_force import press_field
 from gelsim.study.photometric import exposed
 from gelsim.study.texture import WAVELENGTH, texture_signal
 from gelsim.study.trial import Trial
 from gelsim.study.visible import BELL, DEEP, smallest_dent
+
+Array = NDArray[np.float64]
 
 
 def rows(name: str, out: Path) -> list[Row]:
@@ -79,6 +82,45 @@ def test_a_gel_sees_best_what_is_as_soft_as_itself(tmp_path: Path) -> None:
     assert change[17, 80] < 0.5 * change[17, 17]
     for row in seen.values():
         assert row["slope_unknown_press"] <= min(row["slope_equal_depth"], row["slope_equal_force"])
+
+
+def hertz_slopes(shore: float, force: float, radius: float) -> Array:
+    """Slopes of a half-space of Shore 00-17 under an elastic ball (Hertz; Johnson 1985, eq. 3.42), on pixels of 0.115 mm.
+
+    Within the contact they are κ r, κ = E / (E + E_gel) / R, outside κ a by r/a alone: a picture holds κ and a, and no third number.
+    """
+    gel, body, pixel = modulus_from_shore_00(17.0), modulus_from_shore_00(shore), 0.115e-3
+    a = (0.75 * force * radius * 0.75 * (1 / gel + 1 / body)) ** (1 / 3)
+    y, x = (np.mgrid[:120, :160] - np.array([59.5, 79.5])[:, None, None]) * pixel
+    r, out = np.hypot(x, y), np.maximum(np.hypot(x, y), a)
+    outside = -((2 * a**2 - out**2) * np.arcsin(a / out) + a * np.sqrt(out**2 - a**2)) / np.pi
+    height = body / (body + gel) / radius * np.where(r < a, r**2 / 2 - a**2, outside)
+    return np.dstack(tuple(np.gradient(height, pixel)))
+
+
+def test_hertz_hides_hardness_behind_force_and_radius() -> None:
+    """κ and a are two numbers for three unknowns: of who knows the radius to a share s is left (d ln κ/dH) / s, whatever the noise."""
+    force, radius, step = 0.3, 8e-3, 1e-3
+    modulus = modulus_from_shore_00
+    left_over = []
+    for shore in (17.0, 50.0, 86.0):
+        by_log = 2 * 0.01 / np.log(modulus(shore + 0.01) / modulus(shore - 0.01))  # Shore points per ln E
+        seen = combine(
+            (hertz_slopes(shore + step * by_log, force, radius) - hertz_slopes(shore - step * by_log, force, radius)) / (2 * step * by_log),
+            (hertz_slopes(shore, force * (1 + step), radius) - hertz_slopes(shore, force * (1 - step), radius)) / (2 * step),
+            (hertz_slopes(shore, force, radius * (1 + step)) - hertz_slopes(shore, force, radius * (1 - step))) / (2 * step),
+            0.0,
+            1 / SLOPE_NOISE**2,
+        )
+        share = modulus(17.0) / (modulus(17.0) + modulus(shore))
+        # Steps of 0.001 move the contact's edge by a hundredth of a pixel; what three unlike edges leave is of second order in that, of the
+        # hundred times larger change that is projected away.
+        assert seen.unknown_radius == pytest.approx(share / by_log / RADIUS_UNKNOWN, rel=0.01)
+        # Planted: a radius that is known.
+        assert seen.unknown_press > 50 * seen.unknown_radius
+        left_over.append(seen.unknown_radius)
+    # What the paper says of a gel of 17 above 70: a seventh of what is seen of objects as soft as the gel.
+    assert left_over[2] < left_over[0] / 7
 
 
 @pytest.mark.slow

@@ -173,13 +173,15 @@ def test_tables_have_the_columns_of_all_rows(tmp_path: Path) -> None:
 
 def test_what_is_not_known_costs_sensitivity(rng: np.random.Generator) -> None:
     x, y, z = np.eye(3)
-    seen = combine(3 * x + 4 * y + 12 * z, 2 * y, -1.0)
+    seen = combine(3 * x + 4 * y + 12 * z, 2 * y, 10 * (y + z), -1.0)
     # By hand: |(3, 4, 12)| = 13; at equal force (3, 4 - 2, 12); without y (3, 0, 12). Only y is touched.
     assert np.allclose([seen.equal_depth, seen.equal_force], [13, np.sqrt(9 + 4 + 144)], rtol=1e-12)
     assert np.allclose([seen.unknown_press, seen.change], [np.sqrt(153), 2], rtol=1e-12)
+    # A radius known to 0.1 changes z by 10 × 0.1 = 1, as much as its noise: of 12 there, 12/√2 are left.
+    assert seen.unknown_radius == pytest.approx(np.sqrt(9 + 144 / 2), rel=1e-12)
     for _ in range(20):
-        seen = combine(*rng.standard_normal((2, 12, 9, 2)), rng.standard_normal(), weight=4.0)
-        assert seen.unknown_press <= min(seen.equal_depth, seen.equal_force)
+        seen = combine(*rng.standard_normal((3, 12, 9, 2)), rng.standard_normal(), weight=4.0)
+        assert seen.unknown_radius <= seen.unknown_press <= min(seen.equal_depth, seen.equal_force)
 
 
 def test_slopes_integrate_to_their_height() -> None:
@@ -192,3 +194,19 @@ def test_slopes_integrate_to_their_height() -> None:
     found = integrate(along, down, spacing)
     assert np.abs(found - height).max() < bound
     assert np.abs(integrate(along, -down, spacing) - height).max() > 10 * bound
+
+
+def test_paths_of_a_study_are_taken_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "there").mkdir()
+    sensor = '[gel]\nprofile = "flat"\n[[lights.lights]]\nname = "red"\nposition_mm = [14, 0, -6]\ndirection = [-14, 0, 6]\n'
+    for name in ("pad.toml", "low.toml"):
+        (tmp_path / "there" / name).write_text(sensor)
+    head = 'question = "?"\nmetrics = ["force_n"]\n[fields]\n'
+    (tmp_path / "there" / "one.toml").write_text(head + '"gel.shore_00" = [10]\n[scene.sensor]\npreset = "pad.toml"\n')
+    (tmp_path / "there" / "two.toml").write_text(head + '"sensor.preset" = ["pad.toml", "../there/low.toml", "digit"]\n')
+    monkeypatch.chdir(tmp_path)
+    # No machine's folders in what a study writes: the paths stay relative where the study's was.
+    assert load_study("there/one.toml").base["sensor"]["preset"] == "there/pad.toml"
+    study = load_study("there/two.toml")
+    assert study.axes["sensor.preset"] == ["there/pad.toml", "there/low.toml", "digit"]
+    assert [build_scene(study.base, study.layer(point)).gel.profile for point in study.points()] == ["flat", "flat", "dome"]
