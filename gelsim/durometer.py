@@ -347,10 +347,13 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
 
     def keep(*_: int) -> None:
         pressure = contact.pressure.numpy()
-        upward = np.where(pressure > 0, pressure * contact.normal.numpy()[:, 2], 0.0) * contact.rest_weight
+        along = pressure * contact.normal.numpy()[:, 2]
+        if contact.frictional:  # a good part of what a tip bears deep in a block, by its flanks
+            along = along + contact.traction.numpy()[:, 2]
+        along = np.where(pressure > 0, along, 0.0) * contact.rest_weight
         place = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0] @ contact.shape_values.T
-        force, whole = -problem.contact_force()[2] / MODULUS, upward.sum()
-        share = upward[place.ravel() < HOLE_RADIUS / MM].sum() / whole if whole else 1.0
+        force, whole = -problem.contact_force()[2] / MODULUS, along.sum()
+        share = along[place.ravel() < HOLE_RADIUS / MM].sum() / whole if whole else 1.0
         states.append((force, share * force))
         if share < least_share:
             raise _BoreEnough
