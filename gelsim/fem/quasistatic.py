@@ -91,6 +91,8 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     deformation.info["energy"] = march.energy.report()
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{beyond}")
+    if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
+        deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation
 
 
