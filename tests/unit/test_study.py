@@ -180,7 +180,8 @@ def test_what_is_not_known_costs_sensitivity(rng: np.random.Generator) -> None:
     # A radius known to 0.1 changes z by 10 × 0.1 = 1, as much as its noise: of 12 there, 12/√2 are left.
     assert seen.unknown_radius == pytest.approx(np.sqrt(9 + 144 / 2), rel=1e-12)
     for _ in range(20):
-        seen = combine(*rng.standard_normal((3, 12, 9, 2)), rng.standard_normal(), weight=4.0)
+        by_hardness, by_depth, by_radius = rng.standard_normal((3, 12, 9, 2))
+        seen = combine(by_hardness, by_depth, by_radius, rng.standard_normal(), weight=4.0)
         assert seen.unknown_radius <= seen.unknown_press <= min(seen.equal_depth, seen.equal_force)
 
 
