@@ -54,8 +54,8 @@ class ModelConfig:
     """ours: and with the area, size and slope of what changed (for an ablation)"""
     show_gel: bool = True
     """ours: it is told thickness, dome and hardness of the gel where they are known (for an ablation)"""
-    every_step: bool = True
-    """ours: each picture of a press is trained as if it were the last (for an ablation)"""
+    every_step: bool = False
+    """ours: each picture of a press is trained as if it were the last, and not the last alone (for an ablation)"""
     spread: bool = True
     """ours: predicts a spread, trained by likelihood; off: Huber loss (for an ablation)"""
 
