@@ -1,7 +1,8 @@
 """The two networks: from the pictures of a press to Shore 00. Everything about them is in this file.
 
 PressNet (ours): each picture less the no-contact frame, and that frame itself -> residual CNN -> with what is known of the gel, LSTM -> at
-every picture a mean m and a spread s. The estimate is that of the last picture, and the loss is taken there (`every_step`: at every picture).
+every picture a mean m and a spread s. The estimate is that of the last picture, and the loss is taken there
+(`every_step`: at every picture).
     L = -log N(y; m, s) s^(2β), the last factor held constant (Seitzer et al., ICLR 2022: "β-NLL", β = ½): the likelihood, but a press that
     is thought uncertain still teaches its mean. Of rigid objects it is only known that y > HARDEST: L = -log P(y > HARDEST).
 PaperNet (Yuan et al., ICRA 2017): each picture less the first -> VGG16 up to fc7 (Simonyan and Zisserman 2015) -> LSTM -> affine, at every
