@@ -35,6 +35,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU, splu
 
+from gelsim.fem import contact_kernels
 from gelsim.fem.assembly import join_arrays
 from gelsim.fem.contact_kernels import (
     Layout,
@@ -53,8 +54,8 @@ from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]
 
+OVERHANG = float(contact_kernels.OVERHANG)
 FROZEN = 1e3  # the same, where points keep their faces
-OVERHANG = 0.1  # of a face's side: how far beside its face a point may lie before it changes to the neighbour
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
     [[[0, 0], [0.5, 0], [0, 0.5]], [[0.5, 0], [1, 0], [0.5, 0.5]], [[0, 0.5], [0.5, 0.5], [0, 1]], [[0.5, 0], [0.5, 0.5], [0, 0.5]]]
@@ -209,7 +210,8 @@ class SurfaceContact:
     def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
         """Closest points and gaps of all quadrature points within `reach` [mm] for positions x.
 
-        `freeze` keeps every near point on the (extended) face it has: on both sides of a sharp edge points could change flank for ever.
+        `freeze` keeps every near point on the (extended) face that it lies on: on both sides of a sharp edge points could change flank for
+        ever. A point beside its face, at a rim, touches nothing and is sought anew.
         """
         self.overhang.fill_(FROZEN if freeze else OVERHANG)
         self.find(x, reach)

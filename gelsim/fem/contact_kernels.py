@@ -27,6 +27,9 @@ class Layout:
 # Scenes are queried in one tree of triangles, this far from each other [mm].
 SPACING = wp.constant(200.0)
 
+# Of a face's side: how far beside its face a point may lie before it changes to the neighbour.
+OVERHANG = wp.constant(wp.float64(0.1))
+
 # Within which a point keeps its face [mm]; where points keep it for ever, soft penalties of high pressures leave gaps of tenths.
 NEAR = wp.constant(wp.float64(0.1))
 FROZEN_NEAR = wp.constant(wp.float64(1.0))
@@ -113,6 +116,12 @@ def clamp_to_face(xi: wp.vec2d) -> wp.vec2d:
 
 
 @wp.func
+def within_face(xi: wp.vec2d) -> wp.float64:
+    """How far inside its face's border a place lies (in ξ); exactly 0 where `clamp_to_face` put it on the border."""
+    return wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
+
+
+@wp.func
 def penalty_pressure(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     if s <= wp.float64(0.0):
         return wp.float64(0.0)
@@ -156,6 +165,8 @@ def closest_points(
     """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
 
     Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
+    A point whose place is on the border lies beside its face, most often beside a rim: it keeps the face within OVERHANG only, as a curved
+    face goes on beyond its rim as a parabola that may cut into the gel tenths of a millimetre deep.
     """
     i = wp.tid()
     base = scene_of(layout, i) * layout.nodes
@@ -164,13 +175,15 @@ def closest_points(
     xi = xi_out[i]
     kept = bool(False)
     near = NEAR
-    if overhang[scene_of(layout, i)] > wp.float64(1.0):
+    allowed = overhang[scene_of(layout, i)]
+    if allowed > wp.float64(1.0):
         near = FROZEN_NEAR
+        if within_face(xi) == wp.float64(0.0):
+            allowed = OVERHANG
     if f >= 0 and wp.abs(gap[i]) < near:
         for _ in range(6):
             xi = step_to_foot(position, x, base, master, f, xi)
-        inside = wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
-        if inside > -overhang[scene_of(layout, i)]:
+        if within_face(xi) > -allowed:
             kept = wp.length(position - on_face(x, base, master, f, tri6(xi))) < near
     clamped = bool(False)
     if not kept:

@@ -255,6 +255,43 @@ def test_friction_is_kept_from_step_to_step() -> None:
     assert np.abs(contact.traction.numpy()[held] - before).max() > 0.1 * np.abs(before).max()
 
 
+def test_freezing_begins_no_contact_beside_a_rim() -> None:
+    """A curved face goes on beyond its rim as a parabola, through the gel that lies beside the object: no point keeps that."""
+    pair = Pair(0.0, False, overlap=0.0, waves=0.0)
+    x = pair.x.copy()
+    body, rim = np.arange(len(x)) > pair.gel.max(), 1.3
+    x[body, 2] = 0.05 + 0.25 * (rim**2 - x[body, 0] ** 2)  # an arch on the gel's plane, its feet 0.05 mm above it
+    x[pair.gel, 0] += rim
+    contact, x_wp = pair.contact, wp.array(x, dtype=wp.vec3d, device="cpu")
+    contact.update(x_wp, 1.0)
+    places = np.einsum("qn,fni->fqi", contact.shape_values, x[contact.gel_faces]).reshape(-1, 3)
+    gap, face, beyond = contact.gap.numpy().copy(), contact.face.numpy().copy(), places[:, 0] - rim
+    below = 0.05 - 0.25 * (2 * rim * beyond + beyond**2)
+    assert (below[(face >= 0) & (beyond > 0.0)] < -0.1).sum() > 10, "the parabola must cut into paired points, or nothing is shown"
+    contact.update(x_wp, 1.0, freeze=True)
+    assert (contact.face.numpy() == face).all()
+    # six steps to the foot and six more: they gain a digit or two each, and a gap is off by the foot's error squared
+    assert np.abs(contact.gap.numpy() - gap)[face >= 0].max() < 1e-6
+    assert gap.min() > 0.0
+
+
+def test_frozen_points_keep_the_face_they_lie_on() -> None:
+    """However far they slide off it over a ridge: the flank's plane goes on."""
+    pair = Pair(0.0, False, overlap=0.4, slope=1.0)
+    pair.force(pair.x)
+    contact = pair.contact
+    face, normal = contact.face.numpy().copy(), contact.normal.numpy().copy()
+    x = pair.x.copy()
+    x[pair.gel, 0] += 0.3
+    kept = {}
+    for freeze in (False, True):
+        pair.force(pair.x)
+        contact.update(wp.array(x, dtype=wp.vec3d, device="cpu"), 1.0, freeze)
+        kept[freeze] = (contact.face.numpy() == face).mean(), (contact.normal.numpy() * normal).sum(axis=1).min()
+    assert kept[True][0] == 1.0 and kept[True][1] > 1.0 - 1e-9
+    assert kept[False][0] < 0.9 and kept[False][1] < 0.1
+
+
 def test_a_state_is_returned_to() -> None:
     """Pairs, too: a point kept on its flank beyond the ridge is not on the nearest one."""
     pair = Pair(0.5, False, overlap=0.1, slope=1.0)

@@ -19,7 +19,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from gelsim.fem.contact import OVERHANG, ContactLaw, SurfaceContact
+from gelsim.fem.contact import FROZEN, OVERHANG, ContactLaw, SurfaceContact
 from gelsim.fem.pattern import PairPattern
 from gelsim.fem.planar.elements import EDGE_CURVATURE, edge_gradient, edge_quadrature, edge_shape
 
@@ -103,7 +103,9 @@ class EdgeContact(SurfaceContact):
 
         keep = np.flatnonzero((face >= 0) & (np.abs(gap) < NEAR))
         found, offset = _feet(place[keep], edges[face[keep]], xi[keep, 0], clamp=False)
-        overhang = 1e3 if freeze else OVERHANG
+        # one that was put on its edge's end lies beside it, and a curved edge goes on as a parabola (contact_kernels.closest_points)
+        beside = (xi[keep, 0] == 0.0) | (xi[keep, 0] == 1.0)
+        overhang = np.where(freeze & ~beside, FROZEN, OVERHANG)
         stays = (found > -overhang) & (found < 1 + overhang) & (np.linalg.norm(offset, axis=1) < NEAR)
         keep, found = keep[stays], found[stays]
         xi[keep, 0] = found
