@@ -165,8 +165,8 @@ def closest_points(
     """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
 
     Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
-    A point whose place is on the border lies beside its face, most often beside a rim: it keeps the face within OVERHANG only, as a curved
-    face goes on beyond its rim as a parabola that may cut into the gel tenths of a millimetre deep.
+    A point whose place is on the border lies beside its face, most often beside a rim, and is not frozen to it: a curved face goes on
+    beyond its rim as a parabola that may cut into the gel tenths of a millimetre deep.
     """
     i = wp.tid()
     base = scene_of(layout, i) * layout.nodes
@@ -175,11 +175,10 @@ def closest_points(
     xi = xi_out[i]
     kept = bool(False)
     near = NEAR
-    allowed = overhang[scene_of(layout, i)]
-    if allowed > wp.float64(1.0):
+    allowed = OVERHANG
+    if overhang[scene_of(layout, i)] > OVERHANG and within_face(xi) != wp.float64(0.0):
         near = FROZEN_NEAR
-        if within_face(xi) == wp.float64(0.0):
-            allowed = OVERHANG
+        allowed = overhang[scene_of(layout, i)]
     if f >= 0 and wp.abs(gap[i]) < near:
         for _ in range(6):
             xi = step_to_foot(position, x, base, master, f, xi)
