@@ -7,7 +7,7 @@ rows of gap then hold objects that nothing was trained on. Datasets without pict
 read, once for all runs; gap, whose pictures are traced, has to bring them. What is done:
 
     main           our network, longest
-    control        the same, as long as the ablations; no-*: with one departure undone; quarter, sixteenth: on fewer presses
+    control        the same, as long as the ablations; no-*, every-step: with one departure undone; quarter, sixteenth: on fewer presses
     paper          the paper's method, VGG16 from random weights
     fixed, equal   on as many presses of fixed and of data; fixed-plain: without --augment either
     tuned-N-S      main, fine-tuned on N presses of gap (train split), drawn by seed S
@@ -39,17 +39,20 @@ import numpy as np
 from PIL import Image
 
 from gelsim.dataset import lit, load_dataset
+from learn.config import configure
 from learn.evaluate import PUBLISHED, TITLES
 from learn.splits import TEST_ROWS, TRAIN
 
-MAIN = ("--batch", "64", "--rate", "0.0015")
+PICTURE = (144, 192)
+MAIN = ("--picture", "{},{}".format(*PICTURE), "--widths", "48,96,192,320", "--batch", "64", "--rate", "0.0015")
+"""Of our networks: what `default` was trained with."""
 ABLATIONS = {
     "control": (),
     "no-background": ("--show-background", "false"),
     "no-signal": ("--show-signal", "false"),
     "no-shape": ("--show-shape", "false"),
     "no-gel": ("--show-gel", "false"),
-    "no-every-step": ("--every-step", "false"),
+    "every-step": ("--every-step", "true"),
     "no-spread": ("--spread", "false"),
     "no-augment": ("--augment", "false"),
     "no-average": ("--average", "0"),
@@ -70,9 +73,10 @@ from pathlib import Path
 from gelsim.dataset import load_dataset
 from learn.config import configure
 from learn.recordings import archive
-data, preset, cache, workers, plan = sys.argv[1:]
+data, preset, rows, columns, cache, workers, plan = sys.argv[1:]
 dataset = load_dataset(data)
-archive(dataset, [dataset.rows[0]["index"]], configure(preset).input, Path(cache), workers=int(workers), plan=plan or None)
+inputs = configure(preset, picture=(int(rows), int(columns))).input
+archive(dataset, [dataset.rows[0]["index"]], inputs, Path(cache), workers=int(workers), plan=plan or None)
 """
 
 
@@ -166,10 +170,12 @@ def read(study: Study, sets: dict[str, Path], paper: bool) -> float:
     """Averages every picture of every dataset once, all cores at it; seconds."""
     start = time.monotonic()
     for name, path in sets.items():
-        presets = ("default", "paper") if paper and name == "data" else ("default",)
-        for preset in presets:
+        presets = {"default": PICTURE} | ({"paper": configure("paper").input.picture} if paper and name == "data" else {})
+        for preset, picture in presets.items():
             # In a process of its own: those that read are its copies, and this one has loaded torch.
-            subprocess.run([sys.executable, "-c", READ, path, preset, study.cache, str(study.cores), study.plan], check=True)
+            subprocess.run(
+                [sys.executable, "-c", READ, path, preset, *map(str, picture), study.cache, str(study.cores), study.plan], check=True
+            )
             print(f"read {name} for {preset}: {time.monotonic() - start:.0f} s", flush=True)
     return time.monotonic() - start
 
@@ -235,7 +241,7 @@ def plan_jobs(out: Path, sets: dict[str, Path], lengths: dict[str, int], paper: 
         jobs.append(ours(name, lengths["short"], "--presses", str(max(presses // part, 1)), note=f"{max(presses // part, 1)} presses"))
     if "gap" in sets:
         # One validation, at the end: no choice among checkpoints is made with presses of the new sensor.
-        flags = ["--rate", "1e-4", "--warmup", "0", "--validate-every", str(lengths["tuned"]), "--batch", "32"]
+        flags = ["--rate", "3e-4", "--warmup", "0", "--validate-every", str(lengths["tuned"]), "--batch", "32"]
         jobs += [
             Job(f"tuned-{count}-{seed}", ["--data", str(data), "--real", str(sets["gap"])],
                 [*flags, "--real-presses", str(count), "--seed", str(seed), "--init", str(out / "main" / "model.pt")], lengths["tuned"],
@@ -288,7 +294,19 @@ def two_cores(study: Study, sets: dict[str, Path]) -> dict[str, float]:
     """
     data, firsts = sets["data"], [(path, load_dataset(path).rows[0]) for path in sets.values()]
     found: dict[str, float] = {}
-    few = ["--device", "cpu", "--presses", "64", "--validate-every", str(CORES_2_STEPS), "--batch", "16", "--steps", str(CORES_2_STEPS)]
+    few = [
+        *MAIN,
+        "--device",
+        "cpu",
+        "--presses",
+        "64",
+        "--validate-every",
+        str(CORES_2_STEPS),
+        "--batch",
+        "16",
+        "--steps",
+        str(CORES_2_STEPS),
+    ]
     folder = study.out / "two-cores"
     try:
         if not (folder / "report.json").is_file():

@@ -23,12 +23,13 @@ from gelsim.results import Deformation
 from gelsim.scene import Scene
 from gelsim.scene_file import build_scene
 
-# The multipliers take over from a rough solve. A press by itself gets there on factors of its own, in a batch on older ones, so the two end
-# elsewhere: a step may leave OVERLAP_MM either way. Found: 2.4 µm.
-SAME_PLACE = OVERLAP_MM * 1e-3
-# What sticks jumps where a point at the contact's edge just touches or just does not: single nodes there may be anywhere between (6.6 µm
-# seen, on one mesh of many), the surface as a whole not. Found: 0.33 µm and less.
-SAME_SURFACE = 1e-6
+# A press by itself is solved on factors of its own, in a batch on older ones: the multipliers take over from another rough solve, so that
+# the two end elsewhere, as a step may leave OVERLAP_MM either way. And they may keep other faces on the way (from the seventh iteration on),
+# each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): single nodes lie 6.9 µm apart then, of a
+# soft ball without friction, however small OVERLAP_MM is made. So whole surfaces are compared. Found: 1.03 µm and less.
+SAME_SURFACE = OVERLAP_MM * 1e-3
+# A press does the same in a batch of one as beside others. Found: 1e-12 µm; 0.02 µm where it sticks.
+UNMOVED = 0.1e-6
 
 
 def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene:
@@ -51,30 +52,41 @@ def same_force(one: Deformation, other: Deformation) -> bool:
     """Within what OVERLAP_MM of approach changes (found: up to half of it), and 1e-3 that Newton leaves unbalanced at `fast`, twice."""
     stiffness = np.abs(np.diff(one.force, axis=0) / np.diff(one.approach)[:, None]).max()
     scale = np.abs(one.force).max()
-    allowed = SAME_PLACE * stiffness + 2e-3 * scale
+    allowed = SAME_SURFACE * stiffness + 2e-3 * scale
     assert allowed < 0.015 * scale  # or it would say nothing
     return bool(np.abs(one.force - other.force).max() < allowed)
 
 
-def test_neighbours_do_not_matter() -> None:
-    """Soft and hard, with and without friction, one that stops at a force: each as by itself."""
-    scenes = [scene(30.0), scene(600.0), scene(200.0, 0.5), scene(100.0, "stick"), scene(200.0, force_n=0.05)]
-    together = pipeline.press_batch(scenes, device="cpu")
-    for one, press in zip(scenes, together, strict=True):
+SCENES = [scene(30.0), scene(600.0), scene(200.0, 0.5), scene(100.0, "stick"), scene(200.0, force_n=0.05)]
+"""Soft and hard, with and without friction, one that stops at a force."""
+
+
+@pytest.fixture(scope="module")
+def together() -> list[Deformation]:
+    return pipeline.press_batch(SCENES, device="cpu")
+
+
+def test_neighbours_do_not_matter(together: list[Deformation]) -> None:
+    for one, press in zip(SCENES, together, strict=True):
+        (single,) = pipeline.press_batch([one], device="cpu")
+        assert press.status is SolveStatus.CONVERGED and press.approach == pytest.approx(single.approach, rel=1e-6)
+        assert np.abs(press.gel.displacement - single.gel.displacement).max() < UNMOVED
+        assert np.abs(press.force - single.force).max() < 1e-3 * np.abs(single.force).max()
+
+
+def test_a_batch_gives_what_presses_by_themselves_give(together: list[Deformation]) -> None:
+    for one, press in zip(SCENES, together, strict=True):
         single = alone(one)
-        assert press.status is SolveStatus.CONVERGED
-        scale = np.abs(single.force).max()
-        assert scale > 1e-3
+        assert np.abs(single.force).max() > 1e-3
         assert press.approach == pytest.approx(single.approach, rel=5e-3)  # a force is met within FORCE_TOLERANCE, 2e-3
         if one.press.force_n is None:
             assert same_force(single, press)
-            apart = np.linalg.norm(press.gel.displacement - single.gel.displacement, axis=2)
-            assert np.sqrt(np.mean(apart[-1] ** 2)) < SAME_SURFACE
-            assert one.contact.friction_coefficient == "stick" or apart.max() < SAME_PLACE
+            apart = np.linalg.norm(press.gel.displacement[-1] - single.gel.displacement[-1], axis=1)
+            assert np.sqrt(np.mean(apart**2)) < SAME_SURFACE
     assert together[4].force[-1, 2] == pytest.approx(-0.05, rel=4e-3)
     # planted: the presses do differ from each other by far more
     other = np.linalg.norm(together[0].gel.displacement[-1] - together[3].gel.displacement[-1], axis=1)
-    assert np.sqrt(np.mean(other**2)) > 5 * SAME_SURFACE
+    assert np.sqrt(np.mean(other**2)) > 3 * SAME_SURFACE
     assert np.abs(together[0].force - together[1].force).max() > 0.1 * np.abs(together[1].force).max()
 
 
