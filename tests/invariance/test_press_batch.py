@@ -25,7 +25,7 @@ from gelsim.scene_file import build_scene
 
 # A press by itself is solved on factors of its own, in a batch on older ones: the multipliers take over from another rough solve, so that
 # the two end elsewhere, as a step may leave OVERLAP_MM either way. And they may keep other faces on the way (from the seventh iteration
-# on), each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): single nodes lie 6.9 µm apart then, of
+# on), each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): nodes lie 6.9 µm apart then, of
 # a soft ball without friction, however small OVERLAP_MM is made. So whole surfaces are compared. Found: 1.03 µm and less.
 SAME_SURFACE = OVERLAP_MM * 1e-3
 # A press does the same in a batch of one as beside others. Found: 1e-12 µm; 0.02 µm where it sticks.
