@@ -89,13 +89,8 @@ def test_the_gel_moves_what_is_read_where_the_network_is_told(batch: Batch, told
         assert torch.equal(half, read[-1])
 
 
-def test_what_only_the_gel_tells_is_learnt(batch: Batch) -> None:
-    """One picture of which four gels made four hardnesses: whoever does not know the gel says one number for all, off by their spread."""
-    torch.manual_seed(0)
-    one = replace(batch, pictures=batch.pictures[:, :1], signal=batch.signal[:, :1], lengths=torch.ones_like(batch.lengths))
-    part = Batch(*(getattr(one, name)[:1].repeat_interleave(4, dim=0) for name in Batch.__dataclass_fields__))
-    gels = torch.tensor([[2.0, 1.0, 17.0], [2.8, 1.0, 17.0], [2.4, 0.6, 17.0], [2.4, 1.0, 20.0]])
-    part = replace(part, gel=gels, target=torch.tensor([20.0, 70.0, 40.0, 60.0]), rigid=torch.zeros(4, dtype=torch.bool))
+def error_by_heart(part: Batch) -> torch.Tensor:
+    """RMSE [Shore 00] of a network on the very presses that it was trained on, 150 steps."""
     network = build(CONFIG)
     optimizer = torch.optim.AdamW(network.parameters(), lr=5e-3)
     for _ in range(150):
@@ -104,7 +99,17 @@ def test_what_only_the_gel_tells_is_learnt(batch: Batch) -> None:
         optimizer.step()
     with torch.no_grad():
         error = network.estimate(network.eval()(part), part.lengths)[0] - part.target
-    assert error.square().mean().sqrt() < 0.15 * part.target.std()
+    return error.square().mean().sqrt()
+
+
+def test_what_only_the_gel_tells_is_learnt(batch: Batch) -> None:
+    """One picture of which four gels made four hardnesses: whoever does not know the gel says one number for all, off by their spread."""
+    torch.manual_seed(0)
+    one = replace(batch, pictures=batch.pictures[:, :1], signal=batch.signal[:, :1], lengths=torch.ones_like(batch.lengths))
+    part = Batch(*(getattr(one, name)[:1].repeat_interleave(4, dim=0) for name in Batch.__dataclass_fields__))
+    gels = torch.tensor([[2.0, 1.0, 17.0], [2.8, 1.0, 17.0], [2.4, 0.6, 17.0], [2.4, 1.0, 20.0]])
+    part = replace(part, gel=gels, target=torch.tensor([20.0, 70.0, 40.0, 60.0]), rigid=torch.zeros(4, dtype=torch.bool))
+    assert error_by_heart(part) < 0.15 * part.target.std()
 
 
 def test_padding_does_not_change_an_output(batch: Batch) -> None:
@@ -135,16 +140,8 @@ def test_one_batch_can_be_learnt_by_heart(batch: Batch) -> None:
     torch.manual_seed(0)
     known = ~torch.isnan(batch.target)
     part = Batch(*(getattr(batch, name)[known] for name in Batch.__dataclass_fields__))
-    network = build(CONFIG)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=5e-3)
-    for _ in range(150):
-        optimizer.zero_grad()
-        network.loss(network(part), part).backward()
-        optimizer.step()
-    with torch.no_grad():
-        error = network.estimate(network.eval()(part), part.lengths)[0] - part.target
     # The hardness of these presses is spread by about 25.
-    assert error.square().mean().sqrt() < 0.15 * part.target.std()
+    assert error_by_heart(part) < 0.15 * part.target.std()
 
 
 def test_the_likelihood_is_least_at_the_truth_and_counts_only_real_pictures() -> None:
