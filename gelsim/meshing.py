@@ -61,7 +61,7 @@ from gelsim.shapes import (
     solid,
     wall,
 )
-from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, MeshSizes, SizeField
+from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, MeshSizes, SizeField, class_above
 from gelsim.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
@@ -114,7 +114,8 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
     uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
-    box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, 0.5 * press_depth(scene) + uneven
+    deep = class_above(0.5 * press_depth(scene)) if sizes.deeper else 0.5 * press_depth(scene)
+    box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, deep + uneven
     field = contact_field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
     inner: list[TriMesh] = []
     if surface is None:

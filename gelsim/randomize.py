@@ -60,6 +60,8 @@ class Kind:
     fields: Mapping[str, Any]
     split: str | None = None
     """Row of the evaluation that its objects belong to, instead of the group's."""
+    press: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Of presses of its objects, whoever presses them; beats the plan's and the group's."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,9 @@ _PLAN = {
     "splits", "groups",
 }  # fmt: skip
 _GROUP = {"number", "name", "share", "motion", "split", "objects_of", "train_share", "press", "kinds"}
-_KIND = {"name", "count", "object", "split"}
+_KIND = {"name", "count", "object", "split", "press"}
+OF_A_PRESS = ("gel", "object", "contact", "press")
+"""What a group, or a kind of object, may say of its presses."""
 AFTER_BAKE = ("markers", "camera", "lights", "seed")
 """What an episode may draw: a light field need not be measured again for it (`gelsim.generate` checks which fields of these)."""
 
@@ -216,7 +220,7 @@ def _group(table: Layer, where: str) -> Group:
     for name, allowed in (("motion", HUMAN_OR_ROBOT), ("split", SPLITS)):
         if table[name] not in allowed:
             raise SceneError(f"{where}: {name} = {table[name]!r}: allowed are {', '.join(allowed)}{nearest(str(table[name]), allowed)}")
-    check_fields(table.get("press", {}), f"{where}.press", ("gel", "object", "contact", "press"))
+    check_fields(table.get("press", {}), f"{where}.press", OF_A_PRESS)
     kinds = []
     for i, item in enumerate(table.get("kinds", [])):
         place = f"{where}.kinds[{i}]"
@@ -225,7 +229,9 @@ def _group(table: Layer, where: str) -> Group:
         check_fields(fields, f"{place}.object")
         if item.get("split") not in (None, *SPLITS):
             raise SceneError(f"{place}: split = {item['split']!r}: allowed are {', '.join(SPLITS)}")
-        kinds.append(Kind(str(item.get("name", i)), _whole(item.get("count", 1), f"{place}.count", 1, 100000), fields, item.get("split")))
+        check_fields(item.get("press", {}), f"{place}.press", OF_A_PRESS)
+        count = _whole(item.get("count", 1), f"{place}.count", 1, 100000)
+        kinds.append(Kind(str(item.get("name", i)), count, fields, item.get("split"), item.get("press", {})))
     share = table["share"]
     if not is_number(share) or share < 0:
         raise SceneError(f"{where}: share = {share!r}: expected a number of 0 or more")
@@ -351,7 +357,7 @@ class Catalogue:
         sensor = int(rng.integers(plan.sensors))
         base = self._sensor(sensor)
         layers = [self._sensor_layer(sensor), {"object": thing.layer}]
-        fields = {**plan.press_fields, **group.fields}
+        fields = {**plan.press_fields, **group.fields, **thing.kind.press}
         try:
             layers.append(draw_fields(fields, rng, number, base))
             depth = layers[-1].get("press", {}).get("depth_mm")

@@ -53,12 +53,14 @@ class MeshSizes:
     rim_growth: float
     gel_far: float
     object_far: float
+    deeper: bool
+    """Whether the depth to which an object is fine is rounded up to a class as well: more presses of an object share its mesh."""
 
 
 SIZES = {
-    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM),
-    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM),
-    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM),
+    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM, True),
+    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM, False),
+    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM, False),
 }
 
 

@@ -173,6 +173,27 @@ def test_cache_returns_the_same_mesh_and_mends_itself(cache: Path) -> None:
     assert not list(Path.cwd().glob("__tracked_surface*"))  # what fTetWild leaves in its working folder
 
 
+def test_fast_presses_of_nearly_the_same_depth_share_an_objects_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both contacts, of radius √(2 R d), are of one class; so are the halves of both depths, 0.725 and 0.75 mm."""
+    wanted: list[SizeField] = []
+
+    class _Enough(Exception):
+        """What was to be filled is all that is asked for."""
+
+    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
+        wanted.append(field)
+        raise _Enough
+
+    monkeypatch.setattr(meshing, "_cached_fill", fill)
+    for depth in (1.45, 1.5):
+        for fidelity in ("fast", "balanced"):
+            with pytest.raises(_Enough):
+                mesh_object(replace(scene("hemisphere", depth_mm=depth), fidelity=fidelity), progress=QUIET)
+    fast, balanced, other_fast, other_balanced = (field.settings() for field in wanted)
+    assert fast == other_fast and wanted[0].high[2] == pytest.approx(0.85e-3)
+    assert balanced != other_balanced
+
+
 def test_a_cache_that_cannot_be_written_is_said_and_survived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "file"))

@@ -86,6 +86,16 @@ def test_motions_are_the_papers(presses: list):
     assert {press.group.number for press in presses} == {1, 2, 3, 4, 5}
 
 
+def test_edges_and_corners_are_not_pressed_through_the_gel(paper: Catalogue):
+    """What a kind of object says of its presses beats plan and group, the robot's too; other shapes go on to 4 mm."""
+    presses = [paper.press(number) for number in range(500)]
+    soft = [press for press in presses if not press.scene.object.rigid]
+    sharp = [press for press in soft if press.scene.object.shape in ("edge", "corner")]
+    assert {press.group.motion for press in sharp} == {"human", "robot"} and {press.group.number for press in sharp} == {1, 2}
+    assert all(1.2 <= press.scene.press.depth_mm <= 2.4 for press in sharp)
+    assert max(press.scene.press.depth_mm for press in soft if press not in sharp) > 4.0
+
+
 def test_hardness_scale_and_slope_change_gel_and_object_alike(presses: list):
     for press in presses[:50]:
         gel, body = press.scene.gel, press.scene.object
@@ -123,6 +133,7 @@ def planned(tmp_path: Path, old: str, new: str) -> str:
         ("uniform = [0.3, 0.4]", "unifrom = [0.3, 0.4]", "did you mean 'uniform'"),
         ("uniform = [0.3, 0.4]", "uniform = [0.3, inf]", "expected two numbers"),
         ('"press.depth_mm"', '"press.dpeth_mm"', r"unknown field; did you mean 'depth_mm'"),
+        ("object.rigid = true", "object.rigid = true\npress = { depth_mm = 1.0 }", r"kinds\[0\].press.*depth_mm"),
         ('"press.force_n"', '"camera.fps"', "here only gel, object, contact, press, fidelity may be drawn"),
         ('shape = "hemisphere"\nobject.radius_mm = 6.0\nobject.rigid', 'shape = "hemishpere"\nobject.rigid', "did you mean 'hemisphere'"),
         ("log_uniform = [0.9, 1.1]", "log_uniform = [0.0, 1.1]", "both must be above 0"),
