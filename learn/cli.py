@@ -27,7 +27,7 @@ gelsim-learn reads hardness (Shore 00) from videos of a tactile sensor that is p
   gelsim-learn train --data DIR --out RUN                    our network
   gelsim-learn train --data DIR --out RUN --model paper --vgg-weights vgg16.pth
   torchrun --nproc-per-node 4 -m learn.cli train --data DIR --out RUN --workers 12
-  gelsim-learn train --data SIM --real DIR --init RUN/model.pt --real-presses 20 --rate 1e-4 --steps 500 --out TUNED
+  gelsim-learn train --data SIM --real DIR --init default --real-presses 20 --rate 1e-4 --steps 500 --out TUNED
   gelsim-learn eval --model RUN/model.pt --data DIR --out RUN/eval
   gelsim-learn predict --model RUN/model.pt press.mp4
 
@@ -76,7 +76,7 @@ def _parser() -> Parser:
     train.add_argument("--out", required=True, type=Path, metavar="RUN", help="run folder")
     train.add_argument("--resume", action="store_true", help="go on with an interrupted run, by its own settings")
     train.add_argument("--force", action="store_true", help="begin again in an existing folder")
-    train.add_argument("--init", type=Path, metavar="CKPT", help="begin from this network (fine-tuning)")
+    train.add_argument("--init", metavar="CKPT", help="begin from this network, a checkpoint or the name of a shipped one (fine-tuning)")
     train.add_argument("--cache", type=Path, metavar="DIR", help="averaged pictures, which several runs may share (default: RUN/cache)")
     train.add_argument("--vgg-weights", type=Path, metavar="FILE", help="--model paper: VGG16 weights in torchvision's layout")
     train.add_argument("--preset", choices=tuple(PRESETS), help="settings to start from (default: paper with --model paper)")
@@ -127,17 +127,19 @@ def _train(options: argparse.Namespace) -> int:
     if options.resume and options.init:
         raise LearnError("--init: a run that goes on has begun already; leave --init or --resume out")
     from learn import train
+    from learn.predict import shipped_model
 
+    init = shipped_model(options.init, "--init") if options.init else None
     if options.resume:
         config = train.read_run(options.out)
         wanted = configure_from(config, changes)
         if wanted != configure_from(config, {key: value for key, value in changes.items() if key == "workers"}):
             raise LearnError(f"--resume goes on with the settings in {options.out / 'config.json'}; leave {', '.join(sorted(given))} out")
         config = wanted
-    elif options.init:
+    elif init:
         from learn.checkpoint import load
 
-        begun = load(options.init).config
+        begun = load(init).config
         config = configure_from(configure(options.preset or begun.model.model.replace("press", "default")), {})
         config = dataclasses.replace(configure_from(config, changes), input=begun.input, model=begun.model)
         fixed = {item.name for part in (begun.input, begun.model) for item in dataclasses.fields(part)} & set(changes)
@@ -149,7 +151,7 @@ def _train(options: argparse.Namespace) -> int:
         print("VGG16 starts from random weights: no --vgg-weights were given (the paper starts from ImageNet)", file=sys.stderr)
     with console.progress_bars() as progress:
         report = train.train(
-            options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=options.init,
+            options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=init,
             vgg_weights=options.vgg_weights, device=options.device, cache=options.cache, plan=options.plan, progress=progress,
         )  # fmt: skip
     if report:

@@ -23,8 +23,8 @@ SHIPPED = "default"
 """The name of the checkpoint in assets/models/."""
 
 
-def shipped_model(name: str) -> Path:
-    """A checkpoint by path, or by name among the shipped ones.
+def shipped_model(name: str, flag: str = "--model") -> Path:
+    """A checkpoint by path, or by name among the shipped ones; `flag` is how it was asked for.
 
     Raises:
         LearnError: There is none.
@@ -37,7 +37,7 @@ def shipped_model(name: str) -> Path:
     for place in places:
         if place.is_file():
             return place
-    raise LearnError(f"--model {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
+    raise LearnError(f"{flag} {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
 
 
 def gel_of_sensor(name: str) -> Gel:

@@ -14,9 +14,10 @@ import pytest
 import torch
 from conftest import TINY, fake_dataset
 
-from learn import checkpoint
+from learn import checkpoint, cli
 from learn.config import LearnError, configure, from_plain, to_plain
 from learn.logs import read_curves
+from learn.predict import shipped_model
 from learn.train import _average, rate_at, train
 
 
@@ -103,6 +104,18 @@ def test_fine_tuning_on_a_few_real_presses_begins_from_the_network(fake_data: Pa
     assert all(torch.equal(before[name], after[name]) for name in before)  # at rate 0
     with pytest.raises(LearnError, match="network and input are others"):
         train(fake_data, tmp_path / "wrong", configure(**TINY | {"hidden": 8}, steps=1), init=tiny_run / "model.pt")
+
+
+def test_fine_tuning_begins_from_a_shipped_network_by_name(
+    fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is handed to the training, which the test above watches: a step of the shipped network takes minutes on a busy core."""
+    given: list[Path | None] = []
+    monkeypatch.setattr("learn.train.train", lambda *_, init, **__: given.append(init))
+    arguments = ["train", "--data", str(fake_data), "--out", str(tmp_path / "tuned"), "--init"]
+    assert cli.main([*arguments, "default"]) == 0 and given == [shipped_model("default")]
+    assert cli.main([*arguments, "defualt"]) == 2
+    assert "--init defualt" in capsys.readouterr().err and len(given) == 1
 
 
 def test_weights_are_averaged_as_told(tiny_run: Path) -> None:
