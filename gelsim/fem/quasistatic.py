@@ -37,6 +37,8 @@ MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
 OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
+FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
+FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 210
 FORCE_TOLERANCE = 2e-3  # of force_n
 SEARCH_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force
@@ -129,6 +131,8 @@ class _State:
     contact: ContactState
     seconds: float
     """Of the step that led here from the state that the solids remember; 0 where they remember this one."""
+    min_jacobian: float
+    """Smallest det F."""
 
 
 class _March:
@@ -140,11 +144,12 @@ class _March:
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
         self._previous: _State | None = None
+        self._spacing, self._smallest = np.inf, 1.0
         self._iterations = self._factorisations = self._wasted = 0
 
     def run(self, spacing: float, states: int, progress: Progress | None) -> Marching:
         """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m]."""
-        problem = self.problem
+        problem, self._spacing = self.problem, spacing
         yield Request(1.0, solve=False)  # first touch
         self._settle()
         self._keep(states, progress)
@@ -221,9 +226,11 @@ class _March:
             last, overlap = overlap, -float(contact.gap.numpy().min())
             if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
                 break
-        if report.status is SolveStatus.CONVERGED:
+        folds = report.min_jacobian < FOLDED * here.min_jacobian and new - here.approach > FOLDED_STEP * self._spacing
+        if report.status is SolveStatus.CONVERGED and not folds:
+            self._smallest = report.min_jacobian
             return True
-        self.status = report.status
+        self.status = SolveStatus.INVERTED_ELEMENT if report.status is SolveStatus.CONVERGED else report.status
         self._wasted += report.iterations
         self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
@@ -235,7 +242,7 @@ class _March:
 
     def _state(self, approach: float, seconds: float = 0.0) -> _State:
         """The present one, to return to."""
-        return _State(approach, self.problem.solids.state(), self.problem.contact.save(), seconds)
+        return _State(approach, self.problem.solids.state(), self.problem.contact.save(), seconds, self._smallest)
 
     def _return_to(self, state: _State, reach: float) -> Marching:
         self.problem.solids.set_state(state.fields)

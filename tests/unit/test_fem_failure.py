@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_body
+from planar_fixtures import press_of
 
+from gelsim.bench.presses import ball
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem import quasistatic
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.results import Deformation
+from gelsim.scene_file import build_scene
 
 
 @pytest.fixture
@@ -47,3 +52,35 @@ def test_failure_as_a_value(problem: PressProblem) -> None:
     # are the next step's already, which puts some micrometres of overlap times the penalty out of balance: per cents
     assert problem.newton.residual(2.0).imbalance < 0.1
     assert problem.support_force()[2] >= -press.force[-1, 2] * (1 - 100 * TOLERANCE)
+
+
+def test_a_step_that_folds_elements_is_made_in_two(problem: PressProblem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where every longer step counts as folded, those of an eighth are taken, and lead to the same states."""
+    straight = run_press(problem, throw=False)
+    assert straight.info["steps_halved"] > 0  # those of the third step, which nothing leads through
+    problem.reset()
+    monkeypatch.setattr(quasistatic, "SMALLEST_STEP", 1 / 16)
+    monkeypatch.setattr(quasistatic, "FOLDED", 10.0)
+    careful = run_press(problem, throw=False)
+    assert careful.status is not SolveStatus.CONVERGED  # as before
+    assert careful.info["steps_halved"] > straight.info["steps_halved"] + 3
+    assert len(careful.approach) >= len(straight.approach) > 1
+    for state in range(1, len(straight.approach)):  # another path, whose multipliers have moved more often: some overlap less
+        assert careful.force[state, 2] == pytest.approx(straight.force[state, 2], rel=0.01)
+
+
+@pytest.mark.parametrize("finer", [1.5, 2.0])
+def test_no_fold_is_left_under_a_ball(finer: float) -> None:
+    """With both meshes the last step of 0.2 mm used to end in an equilibrium with a crease inside the contact, at r = 2.1 mm: the gel lay
+    59 µm below the ball there, det F was 0.30 at a point, and the force 0.07 % too low."""
+    scene = build_scene(ball(0.499) | {"fidelity": "reference"})
+    scene = scene.replace(press=replace(scene.press, frames=6))
+    _, press = press_of(scene, finer=finer, gel_end=12.5e-3)
+    assert press.status is SolveStatus.CONVERGED and press.min_jacobian.min() > 0.9
+    rest, moved = press.gel.rest, press.gel.rest + press.gel.displacement[-1]
+    across = np.hypot(moved[:, 0], moved[:, 1])
+    under = (rest[:, 2] == 0.0) & (across < 2.5e-3)  # the contact ends at 2.96 mm
+    radius = scene.object.radius_mm * 1e-3
+    surface = -scene.press.depth_mm * 1e-3 + radius - np.sqrt(radius**2 - across[under] ** 2)
+    # overlap is below 0.5 µm at points of contact; between them, 0.1 mm apart, a parabola is off the ball by (0.05 mm)²/2R = 0.3 µm
+    assert np.abs(moved[under, 2] - surface).max() < 1e-6
