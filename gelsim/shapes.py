@@ -385,10 +385,15 @@ def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:
     4 mm from the axis. A `mesh` shape keeps its facets.
     """
     body = scene.object
-    depth = press_depth(scene)
     if body.shape == "mesh":
         surface = load_mesh(body)
         return quadratic_faces(surface.vertices, surface.faces)
+    return _exact_surface(body, press_depth(scene), symmetry)
+
+
+@lru_cache(maxsize=2)
+def _exact_surface(body: Body, depth: float, symmetry: frozenset[str]) -> QuadraticSurface:
+    """`rigid_surface` of other shapes, for a press of a depth [m]: a press needs it for both meshes."""
     shape = solid(body, symmetry)
 
     def sizes(points: Array) -> Array:

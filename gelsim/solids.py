@@ -216,17 +216,22 @@ def classify(patches: tuple[Patch, ...], vertices: Array, faces: NDArray[np.int3
 
 def snap(patches: tuple[Patch, ...], points: Array, member: NDArray[np.bool_]) -> Array:
     """Moves each point (N, 3) onto all the patches it belongs to, `member` (N, P), by alternating projections."""
-    out = points.copy()
-    kinds, which = np.unique(member, axis=0, return_inverse=True)
+    out, crease = points.copy(), member.sum(axis=1) > 1
+    for patch, mine in zip(patches, (member & ~crease[:, None]).T, strict=True):
+        if mine.any():
+            out[mine] = patch.project(points[mine])
+    # the few on creases are sorted by their patches
+    creased = np.flatnonzero(crease)
+    kinds, which = np.unique(member[crease], axis=0, return_inverse=True)
     for kind, row in enumerate(kinds):
-        mine = np.flatnonzero(which.ravel() == kind)
+        mine = creased[which.ravel() == kind]
         chosen = [patch for patch, wanted in zip(patches, row, strict=True) if wanted]
         moving = out[mine]
-        for _ in range(1 if len(chosen) < 2 else 400):
+        for _ in range(400):
             before = moving
             for patch in chosen:
                 moving = patch.project(moving)
-            if not len(mine) or np.abs(moving - before).max() < 1e-15:
+            if np.abs(moving - before).max() < 1e-15:
                 break
         out[mine] = moving
     return out
