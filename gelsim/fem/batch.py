@@ -23,7 +23,7 @@ from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids
 from gelsim.fem.batch_kernels import LANES, balance, largest, move, positions, stiffen, work
 from gelsim.fem.contact import FROZEN, OVERHANG, SurfaceContact
-from gelsim.fem.krylov import BatchedGmres, multiply
+from gelsim.fem.krylov import BatchedGmres, add_lanes, multiply
 from gelsim.fem.linear import SHIFTS, BatchedSystem, single_threaded_blas
 from gelsim.fem.newton import (
     FREEZE_AFTER,
@@ -109,6 +109,10 @@ class _Residual:
     volume_error: Array
     min_jacobian: Array
     finite: Mask
+    work: Array
+    """Of the equations on the step."""
+    slope: Array
+    """The same where the step began."""
 
     @property
     def size(self) -> Array:
@@ -145,9 +149,12 @@ class _Batch:
         length = self.count * self.unknowns
         self.equations, self.step = (wp.zeros(length, dtype=wp.float64, device=device) for _ in range(2))
         self.fraction, self.share = (wp.zeros(self.count, dtype=wp.float64, device=device) for _ in range(2))
-        self.total = wp.zeros(self.count * LANES, dtype=wp.float64, device=device)
-        self.lane_sizes, self.sizes = (wp.zeros((k, 6), dtype=wp.float64, device=device) for k in (self.count * LANES, self.count))
+        # by lane and by scene what `_Residual` is made of: six maxima, then the work on the step here; that where it began in a row more
+        self.lane_sizes = wp.zeros((7, self.count * LANES), dtype=wp.float64, device=device)
+        self.sizes = wp.zeros((8, self.count), dtype=wp.float64, device=device)
+        self.start_pairing = self.contact.pairing()
         self._graphs: dict[str, object] = {}
+        self._sent: dict[int, Array] = {}
         self.gmres = BatchedGmres(self.count, self.unknowns, str(device))
 
         # Newton's state of every scene
@@ -220,15 +227,19 @@ class _Batch:
             return None
         return NewtonReport(status, iteration, size, float(residual.min_jacobian[scene]), int(self.factorisations[scene]))
 
-    def residual(self) -> _Residual:
-        """Contact and equations of all scenes at their present states."""
+    def residual(self, fraction: Array | None = None) -> _Residual:
+        """Contact and equations of all scenes at their present states, or at a fraction of each one's step."""
         with self._stage("residual"):
             freeze = (self.iteration >= FREEZE_AFTER) | (self.limit == 0)
-            self.contact.overhang.assign(np.where(freeze, FROZEN, OVERHANG))
-            self._replay("residual", self._residual)
-            unbalanced, external, internal, volume, turned, broken = self.sizes.numpy().copy().T
+            self._send(self.contact.overhang, np.where(freeze, FROZEN, OVERHANG))
+            if fraction is None:
+                self._replay("residual", self._residual)
+            else:
+                self._send(self.fraction, -fraction)
+                self._replay("trial", self._trial)
+            unbalanced, external, internal, volume, turned, broken, work, slope = self.sizes.numpy().copy()
         scale = np.maximum(np.maximum(external, internal * 1e-3), 1e-9)
-        return _Residual(unbalanced / scale, volume, -turned, broken == 0.0)
+        return _Residual(unbalanced / scale, volume, -turned, broken == 0.0, work, slope)
 
     def _residual(self) -> None:
         solids, device = self.solids, self.solids.device
@@ -240,20 +251,30 @@ class _Batch:
         solids.add_internal_force(self.internal, self.volume)
         forces = [self.internal, self.external, self.volume, self.vertex_volume, self.equation, self.nodes]
         cells = [solids.element_jacobian, len(solids.tets) // self.count, LANES]
-        wp.launch(balance, self.count * LANES, [*forces, *cells, self.equations, self.lane_sizes], device=device)
-        wp.launch(largest, self.sizes.shape, [LANES, self.lane_sizes, self.sizes], device=device)
+        wp.launch(balance, self.count * LANES, [*forces, *cells, self.step, self.equations, self.lane_sizes], device=device)
+        wp.launch(largest, (6, self.count), [LANES, self.lane_sizes, self.sizes], device=device)
+        wp.launch(add_lanes, (1, self.count), [LANES, self.lane_sizes[6:], self.sizes[6:]], device=device)
 
     def _replay(self, name: str, launches: Callable[[], None]) -> None:
-        """Runs launches; on CUDA they are recorded once as a graph."""
+        """Runs launches; on CUDA they are recorded the second time, as a graph that is run from then on."""
         if not wp.get_device(self.solids.device).is_cuda:
             launches()
             return
-        if name not in self._graphs:
-            launches()  # once before: kernels are loaded outside the recording
+        if name not in self._graphs:  # not recorded yet: kernels are loaded now
+            launches()
+            self._graphs[name] = None
+            return
+        if self._graphs[name] is None:
             with wp.ScopedCapture(device=self.solids.device) as capture:
                 launches()
             self._graphs[name] = capture.graph
         wp.capture_launch(self._graphs[name])
+
+    def _send(self, array: wp.array, numbers: Array) -> None:
+        """Writes numbers, one a scene, to an array of the device that is written here alone; not where they stand there already."""
+        if not np.array_equal(self._sent.get(id(array), []), numbers):
+            array.assign(numbers)
+            self._sent[id(array)] = numbers
 
     def iterate(self, active: Mask, residual: _Residual) -> _Residual:
         """One Newton iteration of the active scenes: steps by GMRES on the factors there are, by new ones where those are too old."""
@@ -276,7 +297,7 @@ class _Batch:
 
     def _assemble(self, near: Mask) -> None:
         """Tangents of all scenes; makes the pattern grow where it must, and then no factor is left."""
-        self.contact.geometric.assign(near.astype(float))
+        self._send(self.contact.geometric, near.astype(float))
         for _ in range(2):
             if self.pattern is not None:
                 with self._stage("tangent"):
@@ -302,7 +323,7 @@ class _Batch:
             return
         original, entries = wp.clone(self.values), len(self.values) // self.count
         for share in SHIFTS:
-            self.share.assign(np.where(saddle, share, 0.0))
+            self._send(self.share, np.where(saddle, share, 0.0))
             inputs = [original, self._stiff, entries, self.share, self.values]
             wp.launch(stiffen, (self.count, len(self._stiff)), inputs, device=self.solids.device)
             self._factorise(saddle)
@@ -325,7 +346,8 @@ class _Batch:
         """Steps of the wanted scenes; returns those whose factors were of no use."""
         forcing = np.where(self.iteration < FREEZE_AFTER, FORCING, EXACT)
         with self._stage("solve"):
-            used, left = self.gmres.solve(self._product, self.system.solve, self.equations, self.step, wanted, forcing)
+            ends = self.equations, self.step
+            used, left = self.gmres.solve(self._product, self.system.solve, *ends, wanted, forcing, self._replay)
         if self.costs is not None:
             self.costs.systems["solve"] = self.costs.systems.get("solve", 0) + int(used.sum())
         self.old |= wanted & ~(left <= forcing)
@@ -347,7 +369,7 @@ class _Batch:
         self.pattern = build_pattern(self._single.free, self._coupled, self.solids.device)
         self._pairs = repeat_pairs(self.pattern, self.count)
         self.values = wp.zeros(self.count * len(self.pattern.indices), dtype=wp.float64, device=self.solids.device)
-        self._graphs.pop("tangent", None)
+        self._graphs.clear()
         self.system.analyse(self.pattern.indptr, self.pattern.indices)
         device = self.solids.device
         self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))
@@ -380,20 +402,17 @@ class _Batch:
 
     def _line_search(self, active: Mask, before: _Residual) -> _Residual:
         """newton.Newton._line_search, scene by scene: each is moved to where the work of the unbalanced forces has shrunk."""
-        solids, pairing = self.solids, self.contact.pairing()
         largest_size = np.where(self.iteration >= FREEZE_AFTER, LARGEST_GROWTH * before.size, np.inf)
-        wp.copy(self.start_u, solids.displacement)
-        wp.copy(self.start_p, solids.pressure)
-        slope = -self._work()
-        searching = active & np.isfinite(slope)
-        fraction = np.where(searching, 1.0, 0.0)
+        self._replay("start", self._start_search)
+        searching, fraction = active.copy(), active.astype(float)
         low, high = np.zeros(self.count), np.full(self.count, np.nan)
-        low_slope, high_slope = slope.copy(), np.zeros(self.count)
+        low_slope, high_slope = np.zeros(self.count), np.zeros(self.count)
         for trial in range(MAX_LINE_SEARCH):
-            self._move(fraction)
-            self.contact.set_pairing(pairing)
-            residual = self.residual()
-            now = -self._work()
+            residual = self.residual(fraction)
+            slope, now = -residual.slope, -residual.work
+            if trial == 0:
+                searching &= np.isfinite(slope)
+                low_slope = slope.copy()
             impossible = (residual.min_jacobian <= SMALLEST_JACOBIAN) | ~residual.finite
             bad = impossible | ~(residual.size <= largest_size)
             last = trial == MAX_LINE_SEARCH - 1
@@ -423,21 +442,30 @@ class _Batch:
         lost = active & (impossible | ~np.isfinite(slope))
         if lost.any():
             self.inverted |= lost
-            self._move(np.where(lost, 0.0, fraction))
-            self.contact.set_pairing(pairing)
+            self._send(self.fraction, -np.where(lost, 0.0, fraction))
+            self._move()
         return residual
 
-    def _work(self) -> Array:
-        """Work of the equations on `step`, which is minus the step."""
-        inputs = [self.equations, self.step, self.equation, self.nodes, LANES, self.total]
-        wp.launch(work, self.count * LANES, inputs, device=self.solids.device)
-        return self.total.numpy().reshape(self.count, LANES).sum(axis=1)
-
-    def _move(self, fraction: Array) -> None:
+    def _start_search(self) -> None:
+        """Keeps where a step begins, and the work on it there; `step` is minus the step."""
         solids = self.solids
-        self.fraction.assign(-fraction)
+        wp.copy(self.start_u, solids.displacement)
+        wp.copy(self.start_p, solids.pressure)
+        self.contact.copy_pairing(self.start_pairing)
+        inputs = [self.equations, self.step, self.equation, self.nodes, LANES, self.lane_sizes[6]]
+        wp.launch(work, self.count * LANES, inputs, device=solids.device)
+        wp.launch(add_lanes, (1, self.count), [LANES, self.lane_sizes[6:], self.sizes[7:]], device=solids.device)
+
+    def _trial(self) -> None:
+        self._move()
+        self._residual()
+
+    def _move(self) -> None:
+        """Goes to `fraction` of the step, with the pairs that it began with."""
+        solids = self.solids
         inputs = [self.start_u, self.start_p, self.step, self.fraction, self.equation, self.nodes, solids.displacement, solids.pressure]
         wp.launch(move, solids.node_count, inputs, device=solids.device)
+        self.contact.set_pairing(self.start_pairing)
 
 
 def repeat_pairs(pattern: SymmetricPattern, count: int) -> PairPattern:

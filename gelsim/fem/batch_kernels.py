@@ -41,11 +41,11 @@ LANES = 128
 def balance(
     internal: wp.array(dtype=wp.vec3d), external: wp.array(dtype=wp.vec3d), volume: wp.array(dtype=wp.float64),
     vertex_volume: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32), nodes: wp.int32,
-    jacobian: wp.array(dtype=wp.float64), elements: wp.int32, lanes: wp.int32,
+    jacobian: wp.array(dtype=wp.float64), elements: wp.int32, lanes: wp.int32, step: wp.array(dtype=wp.float64),
     residual: wp.array(dtype=wp.float64), sizes: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """The equations; of each scene's lane the largest unbalanced, contact and internal force, volume error, -det F, and 1 where something
-    is not finite."""
+    """The equations; of each scene's lane the largest unbalanced, contact and internal force, volume error, -det F, 1 where something is
+    not finite, and the work of the forces on `step` (see `work`)."""
     lane = wp.tid()
     scene = lane // lanes
     unbalanced = wp.float64(0.0)
@@ -54,6 +54,7 @@ def balance(
     error = wp.float64(0.0)
     broken = wp.float64(0.0)
     turned = wp.float64(-1.0e30)
+    done = wp.float64(0.0)
     k = lane % lanes
     while k < nodes:
         i = scene * nodes + k
@@ -61,6 +62,7 @@ def balance(
             force = internal[i][c] + external[i][c]
             if equation[i, c] >= 0:
                 residual[equation[i, c]] = force
+                done += force * step[equation[i, c]]
                 unbalanced = wp.max(unbalanced, wp.abs(force))
                 if not wp.isfinite(force):
                     broken = wp.float64(1.0)
@@ -76,22 +78,23 @@ def balance(
     while e < elements:
         turned = wp.max(turned, -jacobian[scene * elements + e])
         e += lanes
-    sizes[lane, 0] = unbalanced
-    sizes[lane, 1] = contact
-    sizes[lane, 2] = inside
-    sizes[lane, 3] = error
-    sizes[lane, 4] = turned
-    sizes[lane, 5] = broken
+    sizes[0, lane] = unbalanced
+    sizes[1, lane] = contact
+    sizes[2, lane] = inside
+    sizes[3, lane] = error
+    sizes[4, lane] = turned
+    sizes[5, lane] = broken
+    sizes[6, lane] = done
 
 
 @wp.kernel(enable_backward=False)
 def largest(lanes: wp.int32, sizes: wp.array2d(dtype=wp.float64), of_scene: wp.array2d(dtype=wp.float64)):
-    """The largest of a scene's lanes, column by column."""
-    scene, c = wp.tid()
-    most = sizes[scene * lanes, c]
+    """The largest of a scene's lanes, row by row."""
+    c, scene = wp.tid()
+    most = sizes[c, scene * lanes]
     for lane in range(1, lanes):
-        most = wp.max(most, sizes[scene * lanes + lane, c])
-    of_scene[scene, c] = most
+        most = wp.max(most, sizes[c, scene * lanes + lane])
+    of_scene[c, scene] = most
 
 
 @wp.kernel(enable_backward=False)

@@ -372,6 +372,11 @@ class SurfaceContact:
         """Who touches where, as `update` left it and goes on from: kept faces depend on it."""
         return wp.clone(self.face), wp.clone(self.xi), wp.clone(self.gap)
 
+    def copy_pairing(self, kept: tuple[wp.array, wp.array, wp.array]) -> None:
+        """Writes the present pairing over an earlier one."""
+        for array, into in zip((self.face, self.xi, self.gap), kept, strict=True):
+            wp.copy(into, array)
+
     def set_pairing(self, pairing: tuple[wp.array, wp.array, wp.array]) -> None:
         for array, kept in zip((self.face, self.xi, self.gap), pairing, strict=True):
             wp.copy(array, kept)

@@ -56,6 +56,9 @@ class CudssBatch:
         self.count, self.device = count, device
         self._handle, self._config, self._data = c_void_p(), c_void_p(), c_void_p()
         self._objects: list[c_void_p] = []
+        self._mask = np.zeros(0, np.int32)
+        self._places: dict[int | None, int | None] = {}
+        """What the library was told last: the systems to work on, and where each matrix's numbers lie."""
         self._factored = False
         self._call("cudssCreate", ctypes.byref(self._handle))
         self._call("cudssSetStream", self._handle, c_void_p(wp.get_stream(device).cuda_stream))
@@ -76,6 +79,7 @@ class CudssBatch:
             None, c_void_p(self._columns.ptr), None, c_int(_INT_32), c_int(_INT_32), c_int(_REAL_64), c_int(_SYMMETRIC), c_int(_UPPER),
             c_int(_BASE_ZERO),
         )  # fmt: skip
+        self._mask, self._places = np.zeros(0, np.int32), {}
         for matrix in (self._right, self._left):
             self._call(
                 "cudssMatrixCreateDn", ctypes.byref(matrix), c_int64(n), c_int64(1), c_int64(n), None, c_int(_REAL_64), c_int(_COLUMN_MAJOR)
@@ -83,15 +87,15 @@ class CudssBatch:
         self._call("cudssDataCreate", self._handle, ctypes.byref(self._data))
         self._select(np.ones(self.count, bool))
         values, vector = (wp.zeros(self.count * k, dtype=wp.float64, device=self.device) for k in (entries, n))
-        self._point(values, vector, vector)
+        for matrix, array in ((self._matrix, values), (self._right, vector), (self._left, vector)):
+            self._place(matrix, array)
         self._execute(_ANALYSIS)
         self._factored = False
         self.factor_entries = int(self._get(_LU_NNZ, 1, np.int64)[0])
 
     def factorise(self, values: wp.array, which: NDArray[np.bool_]) -> None:
-        self._values = values
         self._select(which if self._factored else np.ones(self.count, bool))
-        self._call("cudssMatrixSetValues", self._matrix, c_void_p(values.ptr))
+        self._place(self._matrix, values)
         self._execute(_REFACTORIZATION if self._factored else _FACTORIZATION)
         self._factored = True
 
@@ -102,17 +106,23 @@ class CudssBatch:
 
     def solve(self, b: wp.array, x: wp.array, which: NDArray[np.bool_]) -> None:
         self._select(which)
-        self._point(self._values, b, x)
+        self._place(self._right, b)
+        self._place(self._left, x)
         self._execute(_SOLVE)
 
     def _select(self, which: NDArray[np.bool_]) -> None:
+        """Says which systems the next call is for, where that has changed."""
+        if np.array_equal(which, self._mask):
+            return
         self._mask = np.ascontiguousarray(which, np.int32)
         self._call("cudssDataSet", self._handle, self._data, c_int(_UBATCH_MASK), c_void_p(self._mask.ctypes.data),
                    c_size_t(self._mask.nbytes))  # fmt: skip
 
-    def _point(self, values: wp.array, b: wp.array, x: wp.array) -> None:
-        for matrix, array in ((self._matrix, values), (self._right, b), (self._left, x)):
+    def _place(self, matrix: c_void_p, array: wp.array) -> None:
+        """Says where a matrix's numbers lie, where that has changed."""
+        if self._places.get(matrix.value) != array.ptr:
             self._call("cudssMatrixSetValues", matrix, c_void_p(array.ptr))
+            self._places[matrix.value] = array.ptr
 
     def _get(self, parameter: int, length: int, dtype: type) -> NDArray[np.integer]:
         found, written = np.zeros(length, dtype), c_size_t(0)

@@ -1,7 +1,8 @@
 """Flexible GMRES for many systems at once (Saad 1993), right-preconditioned by factorisations of earlier matrices.
 
-Each system has its own Krylov space; products, preconditioning and inner products of all are one launch each, what is left of a system's
-Hessenberg matrix is turned by Givens rotations on the host. A system that has reached its tolerance is left out of the preconditioner.
+Each system has its own Krylov space; products, preconditioning and inner products of all are one launch each. Vectors and the numbers that
+they are scaled by stay on the device: the host reads each step's column of the Hessenberg matrices, once, and turns it by Givens rotations.
+A system that has reached its tolerance is left out of the preconditioner.
 
 Gram-Schmidt is done once, classically: the spaces are short (`LIMIT`) and the answers rough (Newton's steps).
 """
@@ -22,6 +23,7 @@ LIMIT = 12
 """Longest Krylov space."""
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Replay = Callable[[str, Callable[[], None]], None]
 
 
 @wp.kernel(enable_backward=False)
@@ -84,12 +86,36 @@ def subtract(basis: wp.array2d(dtype=wp.float64), count: wp.int32, factor: wp.ar
 
 
 @wp.kernel(enable_backward=False)
-def scale(w: wp.array(dtype=wp.float64), factor: wp.array(dtype=wp.float64), n: wp.int32, out: wp.array(dtype=wp.float64)):
+def normalise(w: wp.array(dtype=wp.float64), squared: wp.array2d(dtype=wp.float64), n: wp.int32, out: wp.array(dtype=wp.float64)):
+    """w over its length, system by system; 0 where that is 0 or not finite."""
     i = wp.tid()
+    factor = wp.float64(0.0)
+    if squared[0, i // n] > wp.float64(0.0):
+        factor = wp.float64(1.0) / wp.sqrt(squared[0, i // n])
     scaled = wp.float64(0.0)
-    if factor[i // n] != wp.float64(0.0):  # what is left out may not be finite
-        scaled = factor[i // n] * w[i]
+    if factor != wp.float64(0.0):
+        scaled = factor * w[i]
     out[i] = scaled
+
+
+@wp.kernel(enable_backward=False)
+def combine(basis: wp.array2d(dtype=wp.float64), count: wp.int32, weight: wp.array2d(dtype=wp.float64), n: wp.int32,
+            x: wp.array(dtype=wp.float64)):  # fmt: skip
+    """x = Σ weight · basis of the systems whose last weight is 0; the others' x is left alone."""
+    i = wp.tid()
+    scene = i // n
+    if weight[count, scene] != wp.float64(0.0):
+        return
+    sum = wp.float64(0.0)
+    for v in range(count):
+        if weight[v, scene] != wp.float64(0.0):  # a vector that is not finite may lie there
+            sum += weight[v, scene] * basis[v, i]
+    x[i] = sum
+
+
+def run_now(name: str, launches: Callable[[], None]) -> None:
+    """Runs launches; in its place stands what keeps them by their name and runs them again."""
+    launches()
 
 
 class BatchedGmres:
@@ -98,46 +124,48 @@ class BatchedGmres:
     def __init__(self, count: int, n: int, device: str) -> None:
         self.count, self.n, self.device = count, n, device
         length = count * n
-        self.basis = wp.zeros((LIMIT + 1, length), dtype=wp.float64, device=device)
-        self.preconditioned = wp.zeros((LIMIT, length), dtype=wp.float64, device=device)
-        self.w = wp.zeros(length, dtype=wp.float64, device=device)
-        self.of_lane = wp.zeros((LIMIT + 1, count * LANES), dtype=wp.float64, device=device)
-        self.products = wp.zeros((LIMIT + 1, count), dtype=wp.float64, device=device)
-        self.factor = wp.zeros((LIMIT, count), dtype=wp.float64, device=device)
-        self.factor1 = wp.zeros(count, dtype=wp.float64, device=device)
+
+        def zeros(*shape: int) -> wp.array:
+            return wp.zeros(shape, dtype=wp.float64, device=device)
+
+        self.basis, self.preconditioned, self.w = zeros(LIMIT + 1, length), zeros(LIMIT, length), zeros(length)
+        self.of_lane = zeros(LIMIT + 1, count * LANES)
+        # b·b, then of the last step the products of w with the vectors before it, then w·w of what was left of w
+        self.sums, self.weights = zeros(LIMIT + 2, count), zeros(LIMIT + 1, count)
+        self._rows = [self.sums[k : k + 1] for k in range(LIMIT + 2)]
+        self._vectors = [(self.basis[k], self.preconditioned[min(k, LIMIT - 1)]) for k in range(LIMIT + 1)]
+        self._factors, self._w = self.sums[1:], self.w.reshape((1, -1))
 
     def solve(self, product: Callable[[wp.array, wp.array], None], precondition: Callable[[wp.array, wp.array, Mask], None], b: wp.array,
-              x: wp.array, which: Mask, tolerance: float | Array, limit: int = LIMIT) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
+              x: wp.array, which: Mask, tolerance: float | Array, replay: Replay = run_now) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
         """Solves the systems `which` into x; the others' places are left alone.
 
         Args:
             product: Writes the product of all systems' matrices with its first argument into its second.
             tolerance: |b - K x|/|b| to stop at, of all or of each system.
             precondition: Writes M⁻¹ of its first argument into its second, for the systems of the mask.
+            replay: Runs the launches of a name; it may keep them from one call to the next where product, b and x are the same.
         Returns:
             Products used by each system, and the residual that is left over |b|.
         """
-        count, limit = self.count, min(limit, LIMIT)
-        norm = np.sqrt(self._inner(b, b))
-        live = which & (norm > 0)
-        self._scaled(b, np.where(live, 1.0 / np.where(norm > 0, norm, 1.0), 0.0), self.basis[0])
-        hessenberg = np.zeros((count, limit + 1, limit))
-        right = np.zeros((count, limit + 1))
-        right[:, 0] = np.where(live, norm, 0.0)
-        cosine, sine = np.zeros((count, limit)), np.zeros((count, limit))
-        used = np.zeros(count, np.int64)
-        left = np.where(live, 1.0, 0.0)
-        for j in range(limit):
+        count = self.count
+        hessenberg = np.zeros((count, LIMIT + 1, LIMIT))
+        cosine, sine = np.zeros((count, LIMIT)), np.zeros((count, LIMIT))
+        right, norm = np.zeros((count, LIMIT + 1)), np.ones(count)
+        used, left, live = np.zeros(count, np.int64), np.zeros(count), which
+        replay("krylov", lambda: self._begin(b))
+        for j in range(LIMIT):
             if not live.any():
                 break
-            precondition(self.basis[j], self.preconditioned[j], live)
-            product(self.preconditioned[j], self.w)
-            h = self._projected(j + 1)
-            self.factor[: j + 1].assign(h)
-            wp.launch(subtract, count * self.n, [self.basis, j + 1, self.factor, self.n, self.w], device=self.device)
-            length = np.sqrt(self._inner(self.w, self.w))
-            self._scaled(self.w, np.where(length > 0, 1.0 / np.where(length > 0, length, 1.0), 0.0), self.basis[j + 1])
-            column = np.concatenate([h.T, length[:, None]], axis=1)
+            precondition(*self._vectors[j], live)
+            replay(f"krylov {j}", lambda j=j: self._extend(product, j))
+            sums = self.sums[: j + 3].numpy()
+            if j == 0:
+                norm = np.sqrt(sums[0])
+                live = which & (norm > 0)
+                right[:, 0] = np.where(live, norm, 0.0)
+            column = sums[1:].T.copy()
+            column[:, -1] = np.sqrt(column[:, -1])
             for k in range(j):
                 upper = cosine[:, k] * column[:, k] + sine[:, k] * column[:, k + 1]
                 column[:, k + 1] = -sine[:, k] * column[:, k] + cosine[:, k] * column[:, k + 1]
@@ -152,7 +180,8 @@ class BatchedGmres:
             used[live] = j + 1
             left[live] = np.abs(right[live, j + 1]) / norm[live]
             live = live & (left > tolerance) & np.isfinite(left)
-        weights = np.zeros((limit, count))
+        weights = np.zeros((LIMIT + 1, count))
+        weights[LIMIT] = ~which
         for scene in np.flatnonzero(used):
             k = used[scene]
             upper = hessenberg[scene, :k, :k]
@@ -160,24 +189,24 @@ class BatchedGmres:
                 weights[:k, scene] = np.linalg.solve(upper, right[scene, :k])
             else:
                 left[scene] = np.inf
-        self._scaled(x, np.where(which, 0.0, 1.0), x)
-        self.factor[:limit].assign(-weights)
-        wp.launch(subtract, count * self.n, [self.preconditioned, limit, self.factor, self.n, x], device=self.device)
+        self.weights.assign(weights)
+        wp.launch(combine, count * self.n, [self.preconditioned, LIMIT, self.weights, self.n, x], device=self.device)
         return used, left
 
-    def _inner(self, a: wp.array, b: wp.array) -> Array:
-        """a·b of each system."""
-        return self._products(a.reshape((1, -1)), b, 1)[0]
+    def _begin(self, b: wp.array) -> None:
+        """The first vector of each basis."""
+        self._products(b.reshape((1, -1)), b, 0, 1)
+        wp.launch(normalise, self.count * self.n, [b, self._rows[0], self.n, self.basis[0]], device=self.device)
 
-    def _projected(self, vectors: int) -> Array:
-        """Inner products of w with the first basis vectors, (vectors, systems)."""
-        return self._products(self.basis, self.w, vectors)
+    def _extend(self, product: Callable[[wp.array, wp.array], None], j: int) -> None:
+        """The next vector of each basis, from the j-th preconditioned one."""
+        product(self._vectors[j][1], self.w)
+        self._products(self.basis, self.w, 1, j + 1)
+        wp.launch(subtract, self.count * self.n, [self.basis, j + 1, self._factors, self.n, self.w], device=self.device)
+        self._products(self._w, self.w, j + 2, 1)
+        wp.launch(normalise, self.count * self.n, [self.w, self._rows[j + 2], self.n, self._vectors[j + 1][0]], device=self.device)
 
-    def _products(self, basis: wp.array, w: wp.array, vectors: int) -> Array:
+    def _products(self, basis: wp.array, w: wp.array, row: int, vectors: int) -> None:
+        """Inner products of w with the first `vectors` of a basis, into `sums` from a row on."""
         wp.launch(lane_products, (vectors, self.count * LANES), [basis, w, self.n, LANES, self.of_lane], device=self.device)
-        wp.launch(add_lanes, (vectors, self.count), [LANES, self.of_lane, self.products], device=self.device)
-        return self.products[:vectors].numpy().copy()
-
-    def _scaled(self, w: wp.array, factor: Array, out: wp.array) -> None:
-        self.factor1.assign(factor)
-        wp.launch(scale, self.count * self.n, [w, self.factor1, self.n, out], device=self.device)
+        wp.launch(add_lanes, (vectors, self.count), [LANES, self.of_lane, self.sums[row:]], device=self.device)
