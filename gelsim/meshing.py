@@ -260,6 +260,8 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
 
 
 _CHILD = """
+import sys, types
+sys.modules["pyvista"] = types.ModuleType("pyvista")  # not needed for arrays, and a third of a second to import
 import numpy, pytetwild
 with numpy.load("in.npz", allow_pickle=False) as stored:
     given = {name: stored[name] if stored[name].ndim else stored[name].item() for name in stored.files}

@@ -341,10 +341,8 @@ class BatchedSystem:
         here = which & self._here
         if self._cudss is not None and (which & ~here).any():
             self._cudss.factorise(values, which & ~here)
-        if here.any():
-            parts = values.numpy().reshape(self.count, -1)
-            for one in np.flatnonzero(here):
-                self._solver(one).factorise(parts[one].copy())
+        for one, part in self._parts(here, len(values)):
+            self._solver(one).factorise(np.array(values[part].numpy(), np.float64))
 
     @property
     def negative(self) -> NDArray[np.integer]:
@@ -360,11 +358,13 @@ class BatchedSystem:
         here = which & self._here
         if self._cudss is not None and (which & ~here).any():
             self._cudss.solve(b, x, which & ~here)
-        if here.any():
-            right, found = b.numpy().reshape(self.count, -1), x.numpy().reshape(self.count, -1).copy()
-            for one in np.flatnonzero(here):
-                found[one] = self._solver(one).solve(right[one].copy())
-            x.assign(found.ravel())
+        for one, part in self._parts(here, len(b)):
+            x[part].assign(self._solver(one).solve(np.asarray(b[part].numpy(), np.float64)))
+
+    def _parts(self, which: NDArray[np.bool_], length: int) -> Iterator[tuple[int, slice]]:
+        """The systems `which`, and where each one's numbers lie among those of all."""
+        each = length // self.count
+        return ((one, slice(one * each, (one + 1) * each)) for one in np.flatnonzero(which).tolist())
 
     def _solver(self, one: int | np.integer) -> PardisoSolver | SuperLUSolver:
         solver = self._direct[one]
