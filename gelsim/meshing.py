@@ -246,7 +246,7 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
             "epsilon": envelope * min(field.contact, field.rim) / diagonal, "stop_energy": energy, "num_opt_iter": passes,
         }  # fmt: skip
         np.savez(Path(folder) / "in.npz", **{name: np.asarray(value) for name, value in given.items()})  # type: ignore[arg-type]
-        child = subprocess.run([sys.executable, "-c", _CHILD], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
+        child = subprocess.run([sys.executable, "-c", _WITHOUT_PYVISTA + _CHILD], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
         out = Path(folder) / "out.npz"
         if child.returncode or not out.exists():
             said = (child.stderr.strip().splitlines() or [f"exit code {child.returncode}"])[-1]
@@ -259,9 +259,12 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
     return filled[used] * MM, tets.reshape(-1, 4).astype(np.int32)
 
 
-_CHILD = """
+_WITHOUT_PYVISTA = """
 import sys, types
-sys.modules["pyvista"] = types.ModuleType("pyvista")  # not needed for arrays, and a third of a second to import
+sys.modules["pyvista"] = types.ModuleType("pyvista")
+"""
+"""Run before `_CHILD`: pytetwild imports it to register itself there, a third of a second that no mesh depends on."""
+_CHILD = """
 import numpy, pytetwild
 with numpy.load("in.npz", allow_pickle=False) as stored:
     given = {name: stored[name] if stored[name].ndim else stored[name].item() for name in stored.files}

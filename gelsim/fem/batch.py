@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -81,6 +82,13 @@ def copy_bandwidth(device: str) -> float:
         wp.synchronize_device(device)
         best = min(best, time.perf_counter() - start)
     return 16.0 * count / best
+
+
+def capture(launches: Callable[[], None], device: str) -> Callable[[], None]:
+    """Records launches as a CUDA graph; what is returned runs them again, on the arrays and numbers that they had."""
+    with wp.ScopedCapture(device=device) as captured:
+        launches()
+    return partial(wp.capture_launch, captured.graph)
 
 
 def run_batch(
@@ -153,7 +161,8 @@ class _Batch:
         self.lane_sizes = wp.zeros((7, self.count * LANES), dtype=wp.float64, device=device)
         self.sizes = wp.zeros((8, self.count), dtype=wp.float64, device=device)
         self.start_pairing = self.contact.pairing()
-        self._graphs: dict[str, object] = {}
+        self._record = capture if wp.get_device(device).is_cuda else None
+        self._graphs: dict[str, Callable[[], None] | None] = {}
         self._sent: dict[int, Array] = {}
         self.gmres = BatchedGmres(self.count, self.unknowns, str(device))
 
@@ -256,19 +265,15 @@ class _Batch:
         wp.launch(add_lanes, (1, self.count), [LANES, self.lane_sizes[6:], self.sizes[6:]], device=device)
 
     def _replay(self, name: str, launches: Callable[[], None]) -> None:
-        """Runs launches; on CUDA they are recorded the second time, as a graph that is run from then on."""
-        if not wp.get_device(self.solids.device).is_cuda:
-            launches()
-            return
-        if name not in self._graphs:  # not recorded yet: kernels are loaded now
+        """Runs launches; on CUDA they are recorded the second time, and run as a graph from then on."""
+        if self._record is None or name not in self._graphs:  # the first time kernels are loaded
             launches()
             self._graphs[name] = None
             return
-        if self._graphs[name] is None:
-            with wp.ScopedCapture(device=self.solids.device) as capture:
-                launches()
-            self._graphs[name] = capture.graph
-        wp.capture_launch(self._graphs[name])
+        graph = self._graphs[name]
+        if graph is None:
+            graph = self._graphs[name] = self._record(launches, self.solids.device)
+        graph()
 
     def _send(self, array: wp.array, numbers: Array) -> None:
         """Writes numbers, one a scene, to an array of the device that is written here alone; not where they stand there already."""

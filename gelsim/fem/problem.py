@@ -140,8 +140,9 @@ class PressProblem:
     def contact_force(self) -> Array:
         """Force on the gel by the object [N], the whole body's."""
         c = self.contact
-        local = c.pressure.numpy()[:, None] * c.normal.numpy() + (c.traction.numpy() if c.frictional else 0.0)
-        force = (c.rest_weight[:, None] * np.where(c.pressure.numpy()[:, None] > 0, local, 0.0)).sum(0) * self.copies
+        pressure = c.pressure.numpy()[:, None]
+        local = pressure * c.normal.numpy() + (c.traction.numpy() if c.frictional else 0.0)
+        force = (c.rest_weight[:, None] * np.where(pressure > 0, local, 0.0)).sum(0) * self.copies
         return self._across_planes(force)
 
     def support_force(self) -> Array:

@@ -112,7 +112,8 @@ def areas_below(nodes: Array, values: Array, levels: Array) -> Array:
     a, b, c = np.sort(values[:, _PARTS].reshape(-1, 3), axis=1).T
     t = np.asarray(levels)[:, None]
     tiny = np.finfo(float).tiny
-    lower = (t - a) ** 2 / np.maximum((b - a) * (c - a), tiny)
-    upper = 1.0 - (c - t) ** 2 / np.maximum((c - a) * (c - b), tiny)
+    with np.errstate(over="ignore"):  # where two of the values are one; t is not between them then
+        lower = (t - a) ** 2 / np.maximum((b - a) * (c - a), tiny)
+        upper = 1.0 - (c - t) ** 2 / np.maximum((c - a) * (c - b), tiny)
     share = np.where(t <= a, 0.0, np.where(t >= c, 1.0, np.where(t <= b, lower, upper)))
     return share @ area

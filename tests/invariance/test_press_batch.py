@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -209,6 +210,50 @@ def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.Monkey
     monkeypatch.setattr(batch.system, "distrust", np.zeros_like)
     kept, stopped = batch.run(None, None)
     assert kept.status is SolveStatus.CONVERGED and stopped.status is not SolveStatus.CONVERGED
+
+
+def test_what_is_recorded_once_holds_from_then_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on CUDA: launches are kept with the arrays and numbers of their second time, and run on these. Nothing else may be among them."""
+    kept: list[Callable[[], object]] | None = None
+
+    def keeping(function: Callable[..., object]) -> Callable[..., object]:
+        def call(*arguments: object, **named: object) -> object:
+            if kept is None:
+                return function(*arguments, **named)
+            return kept.append(partial(function, *(list(a) if isinstance(a, list) else a for a in arguments), **named))
+
+        return call
+
+    def refused(function: Callable[..., object]) -> Callable[..., object]:
+        def call(*arguments: object, **named: object) -> object:
+            assert kept is None, f"{function.__name__} has no place in a graph"
+            return function(*arguments, **named)
+
+        return call
+
+    def record(launches: Callable[[], None], device: str) -> Callable[[], None]:
+        nonlocal kept
+        kept = graph = []
+        launches()
+        kept = None
+        return lambda: [run() for run in graph] and None
+
+    monkeypatch.setattr("gelsim.fem.batch.REACH_MM", 0.1)  # so that the pattern grows under way
+    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
+    plain = run_batch(problems)
+    for wrapper, names in ((keeping, ((wp, "launch"), (wp, "copy"), (wp.array, "zero_"), (wp.Mesh, "refit"))),
+                           (refused, ((wp, "zeros"), (wp, "clone"), (wp.array, "numpy"), (wp.array, "assign")))):  # fmt: skip
+        for owner, name in names:
+            monkeypatch.setattr(owner, name, wrapper(getattr(owner, name)))
+    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
+    batch, grown = _Batch(problems, None), []
+    batch._record = record
+    monkeypatch.setattr(batch.system, "analyse", lambda *pattern: grown.append(BatchedSystem.analyse(batch.system, *pattern)))
+    for one, other in zip(plain, batch.run(None, None), strict=True):
+        assert np.array_equal(one.gel.displacement, other.gel.displacement) and np.array_equal(one.force, other.force)
+    assert len(grown) > 1
+    # all that a Newton iteration consists of, and a step of GMRES
+    assert {name for name, graph in batch._graphs.items() if graph} >= {"residual", "tangent", "start", "trial", "krylov", "krylov 0"}
 
 
 def test_scenes_of_other_meshes_are_told_apart() -> None:

@@ -114,6 +114,8 @@ def test_area_below_a_plane_is_exact() -> None:
     y = np.linspace(-HALF, HALF, 200001)
     wanted = [np.trapezoid(np.clip(level - y / 2 + HALF, 0.0, 2 * HALF), y) for level in levels]
     assert areas_below(tilted[FACES], values, levels) == pytest.approx(wanted, rel=1e-7, abs=1e-9)
+    # of one value everywhere nothing lies between, and nothing is told of a division that is not used
+    assert areas_below(tilted[FACES], np.zeros_like(values), np.array([-0.5, 0.5])) == pytest.approx([0.0, 4 * HALF**2])
 
 
 def test_the_module_reads_what_it_says() -> None:
