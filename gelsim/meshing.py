@@ -246,7 +246,8 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
             "epsilon": envelope * min(field.contact, field.rim) / diagonal, "stop_energy": energy, "num_opt_iter": passes,
         }  # fmt: skip
         np.savez(Path(folder) / "in.npz", **{name: np.asarray(value) for name, value in given.items()})  # type: ignore[arg-type]
-        child = subprocess.run([sys.executable, "-c", _WITHOUT_PYVISTA + _CHILD], cwd=folder, capture_output=True, text=True, errors="replace", check=False)
+        command = [sys.executable, "-c", _WITHOUT_PYVISTA + _CHILD]
+        child = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
         out = Path(folder) / "out.npz"
         if child.returncode or not out.exists():
             said = (child.stderr.strip().splitlines() or [f"exit code {child.returncode}"])[-1]
