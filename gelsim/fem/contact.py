@@ -70,13 +70,16 @@ _PLACES = ("face", "xi", "gap", "anchor_face", "anchor_xi")  # of a ContactState
 
 @dataclass(frozen=True)
 class ContactState:
-    """Pairs, friction's history and what carries the load, to return to; an entry a point but for `multipliers`."""
+    """Pairs, friction's history and what carries the load, to return to; an entry a point but for `multipliers`.
 
-    face: NDArray[np.int32]
-    xi: Array
-    gap: Array
-    anchor_face: NDArray[np.int32]
-    anchor_xi: Array
+    Places stay on the device.
+    """
+
+    face: wp.array
+    xi: wp.array
+    gap: wp.array
+    anchor_face: wp.array
+    anchor_xi: wp.array
     multipliers: Array
     """(V, 4), at the gel's face vertices."""
     kept: Array
@@ -383,12 +386,12 @@ class SurfaceContact:
 
     def save(self) -> ContactState:
         """The present state, to return to when a step is halved."""
-        places = {name: getattr(self, name).numpy().copy() for name in _PLACES}
+        places = {name: wp.clone(getattr(self, name)) for name in _PLACES}
         return ContactState(**places, multipliers=self.multipliers, kept=self.kept)
 
     def restore(self, state: ContactState) -> None:
         for name in _PLACES:
-            getattr(self, name).assign(getattr(state, name))
+            wp.copy(getattr(self, name), getattr(state, name))
         self.kept = state.kept
         self.set_multipliers(state.multipliers)
 
