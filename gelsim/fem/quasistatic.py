@@ -2,8 +2,9 @@
 
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
 contact multipliers take the pressure over (contact.py) and Newton answers once more. A step that does not converge is halved, from where
-it began; after two easy steps it doubles again. Recorded states are equally spaced in approach. `force_n` ends the press where the normal
-force reaches it, found by the secant rule; without `depth_mm` a first march finds how far that is, and a second one records.
+it began; after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states are equally spaced in approach. `force_n` ends
+the press where the normal force reaches it, found by the secant rule; without `depth_mm` a first march finds how far that is, and a
+second one records.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
@@ -41,7 +42,7 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 210
 FORCE_TOLERANCE = 2e-3  # of force_n
-SEARCH_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force
+CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force, and the longest of any march once a step has failed
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
 
@@ -106,7 +107,7 @@ def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple
     scene = problem.scene
     limit = _depth_limit(scene)
     march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s), limit)
-    yield from march.run(SEARCH_STEP, int(limit / SEARCH_STEP) + 2, None)
+    yield from march.run(CAREFUL_STEP, int(limit / CAREFUL_STEP) + 2, None)
     problem.reset()
     if march.stopped:
         return march.approach, ""
@@ -153,12 +154,13 @@ class _March:
         yield Request(1.0, solve=False)  # first touch
         self._settle()
         self._keep(states, progress)
-        step, easy, here = spacing, 0, self._state(0.0)
+        step, easy, here, largest = spacing, 0, self._state(0.0), spacing
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
             if not (yield from self._attempt(here, new)):
-                step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
+                largest = min(spacing, CAREFUL_STEP)
+                step, easy, self.halved = min((new - here.approach) / 2, largest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > MOST_WASTED:
                     return
                 continue
@@ -171,8 +173,8 @@ class _March:
             self._settle()
             self.approach, self.normal_force, self._previous, here = new, force, here, self._state(new)
             easy += 1
-            if easy >= 2 and step < spacing:
-                step, easy = min(2 * step, spacing), 0
+            if easy >= 2 and step < largest:
+                step, easy = min(2 * step, largest), 0
             if self.stopped or abs(new - target) < 1e-9 * spacing:
                 self._keep(states, progress)
         if self.press.hold_s and problem.memory is not None:

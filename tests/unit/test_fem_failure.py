@@ -84,3 +84,21 @@ def test_no_fold_is_left_under_a_ball(finer: float) -> None:
     surface = -scene.press.depth_mm * 1e-3 + radius - np.sqrt(radius**2 - across[under] ** 2)
     # overlap is below 0.5 µm at points of contact; between them, 0.1 mm apart, a parabola is off the ball by (0.05 mm)²/2R = 0.3 µm
     assert np.abs(moved[under, 2] - surface).max() < 1e-6
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_after_a_failure_steps_are_those_of_the_search_for_a_force(monkeypatch: pytest.MonkeyPatch, fails: bool) -> None:
+    """Two states 0.6 mm apart: in a step each, and where the first fails in 0.25 mm and what is left, however easy those are."""
+    attempt, steps = quasistatic._March._attempt, []  # pyright: ignore[reportPrivateUsage]
+
+    def first_fails(march, here, new, seconds=0.0):  # type: ignore[no-untyped-def]
+        steps.append(round((new - here.approach) / MM, 6))
+        return len(steps) > fails and (yield from attempt(march, here, new, seconds))
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", first_fails)  # pyright: ignore[reportPrivateUsage]
+    scene = ball_scene(1.2, 3, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert press.approach / MM == pytest.approx([0.0, 0.6, 1.2])
+    assert press.info["steps_halved"] == fails
+    assert steps == ([0.6, 0.25, 0.25, 0.1, 0.25, 0.25, 0.1] if fails else [0.6, 0.6])
