@@ -352,7 +352,7 @@ class _Batch:
         forcing = np.where(self.iteration < FREEZE_AFTER, FORCING, EXACT)
         with self._stage("solve"):
             ends = self.equations, self.step
-            used, left = self.gmres.solve(self._product, self.system.solve, *ends, wanted, forcing, self._replay)
+            used, left = self.gmres.solve(self._product, self.system.solve, *ends, wanted, forcing)
         if self.costs is not None:
             self.costs.systems["solve"] = self.costs.systems.get("solve", 0) + int(used.sum())
         self.old |= wanted & ~(left <= forcing)
@@ -374,7 +374,7 @@ class _Batch:
         self.pattern = build_pattern(self._single.free, self._coupled, self.solids.device)
         self._pairs = repeat_pairs(self.pattern, self.count)
         self.values = wp.zeros(self.count * len(self.pattern.indices), dtype=wp.float64, device=self.solids.device)
-        self._graphs.clear()
+        self._graphs.pop("tangent", None)
         self.system.analyse(self.pattern.indptr, self.pattern.indices)
         device = self.solids.device
         self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))
@@ -408,7 +408,7 @@ class _Batch:
     def _line_search(self, active: Mask, before: _Residual) -> _Residual:
         """newton.Newton._line_search, scene by scene: each is moved to where the work of the unbalanced forces has shrunk."""
         largest_size = np.where(self.iteration >= FREEZE_AFTER, LARGEST_GROWTH * before.size, np.inf)
-        self._replay("start", self._start_search)
+        self._start_search()
         searching, fraction = active.copy(), active.astype(float)
         low, high = np.zeros(self.count), np.full(self.count, np.nan)
         low_slope, high_slope = np.zeros(self.count), np.zeros(self.count)

@@ -23,7 +23,6 @@ LIMIT = 12
 """Longest Krylov space."""
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Replay = Callable[[str, Callable[[], None]], None]
 
 
 @wp.kernel(enable_backward=False)
@@ -113,11 +112,6 @@ def combine(basis: wp.array2d(dtype=wp.float64), count: wp.int32, weight: wp.arr
     x[i] = sum
 
 
-def run_now(name: str, launches: Callable[[], None]) -> None:
-    """Runs launches; in its place stands what keeps them by their name and runs them again."""
-    launches()
-
-
 class BatchedGmres:
     """`count` systems of `n` unknowns, vectors of one after those of the other."""
 
@@ -137,14 +131,13 @@ class BatchedGmres:
         self._factors, self._w = self.sums[1:], self.w.reshape((1, -1))
 
     def solve(self, product: Callable[[wp.array, wp.array], None], precondition: Callable[[wp.array, wp.array, Mask], None], b: wp.array,
-              x: wp.array, which: Mask, tolerance: float | Array, replay: Replay = run_now) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
+              x: wp.array, which: Mask, tolerance: float | Array) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
         """Solves the systems `which` into x; the others' places are left alone.
 
         Args:
             product: Writes the product of all systems' matrices with its first argument into its second.
             tolerance: |b - K x|/|b| to stop at, of all or of each system.
             precondition: Writes M⁻¹ of its first argument into its second, for the systems of the mask.
-            replay: Runs the launches of a name; it may keep them from one call to the next where product, b and x are the same.
         Returns:
             Products used by each system, and the residual that is left over |b|.
         """
@@ -153,12 +146,12 @@ class BatchedGmres:
         cosine, sine = np.zeros((count, LIMIT)), np.zeros((count, LIMIT))
         right, norm = np.zeros((count, LIMIT + 1)), np.ones(count)
         used, left, live = np.zeros(count, np.int64), np.zeros(count), which
-        replay("krylov", lambda: self._begin(b))
+        self._begin(b)
         for j in range(LIMIT):
             if not live.any():
                 break
             precondition(*self._vectors[j], live)
-            replay(f"krylov {j}", lambda j=j: self._extend(product, j))
+            self._extend(product, j)
             sums = self.sums[: j + 3].numpy()
             if j == 0:
                 norm = np.sqrt(sums[0])

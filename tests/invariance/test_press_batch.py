@@ -255,8 +255,8 @@ def test_what_is_recorded_once_holds_from_then_on(monkeypatch: pytest.MonkeyPatc
     for one, other in zip(plain, batch.run(None, None), strict=True):
         assert np.array_equal(one.gel.displacement, other.gel.displacement) and np.array_equal(one.force, other.force)
     assert len(grown) > 1
-    # all that a Newton iteration consists of, and a step of GMRES
-    assert {name for name, graph in batch._graphs.items() if graph} >= {"residual", "tangent", "start", "trial", "krylov", "krylov 0"}
+    # all that a Newton iteration consists of but GMRES, whose few launches are not worth a graph a step
+    assert {name for name, graph in batch._graphs.items() if graph} == {"residual", "tangent", "trial"}
 
 
 def test_scenes_of_other_meshes_are_told_apart() -> None:
