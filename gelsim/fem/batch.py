@@ -157,7 +157,7 @@ class _Batch:
         length = self.count * self.unknowns
         self.equations, self.step = (wp.zeros(length, dtype=wp.float64, device=device) for _ in range(2))
         self.fraction, self.share = (wp.zeros(self.count, dtype=wp.float64, device=device) for _ in range(2))
-        # by lane and by scene what `_Residual` is made of: six maxima, then the work on the step here; that where it began in a row more
+        # by lane and by scene what `_Residual` is made of: six maxima, then the work on the step here; by scene also that where it began
         self.lane_sizes = wp.zeros((7, self.count * LANES), dtype=wp.float64, device=device)
         self.sizes = wp.zeros((8, self.count), dtype=wp.float64, device=device)
         self.start_pairing = self.contact.pairing()
@@ -351,8 +351,7 @@ class _Batch:
         """Steps of the wanted scenes; returns those whose factors were of no use."""
         forcing = np.where(self.iteration < FREEZE_AFTER, FORCING, EXACT)
         with self._stage("solve"):
-            ends = self.equations, self.step
-            used, left = self.gmres.solve(self._product, self.system.solve, *ends, wanted, forcing)
+            used, left = self.gmres.solve(self._product, self.system.solve, self.equations, self.step, wanted, forcing)
         if self.costs is not None:
             self.costs.systems["solve"] = self.costs.systems.get("solve", 0) + int(used.sum())
         self.old |= wanted & ~(left <= forcing)

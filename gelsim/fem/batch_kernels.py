@@ -34,7 +34,7 @@ def positions(rest: wp.array(dtype=wp.vec3d), displacement: wp.array(dtype=wp.ve
 
 
 LANES = 128
-"""Threads that share a scene's sums and maxima: each goes through every so many nodes, the host's side takes the lanes together."""
+"""Threads that share a scene's sums and maxima: each goes through every so many nodes, a second launch takes the lanes together."""
 
 
 @wp.kernel(enable_backward=False)
