@@ -86,7 +86,7 @@ def test_motions_are_the_papers(presses: list):
     assert {press.group.number for press in presses} == {1, 2, 3, 4, 5}
 
 
-def test_edges_and_corners_are_not_pressed_through_the_gel(paper: Catalogue):
+def test_soft_edges_and_corners_are_pressed_no_further_than_their_kind_says(paper: Catalogue):
     """What a kind of object says of its presses beats plan and group, the robot's too; other shapes go on to 4 mm."""
     presses = [paper.press(number) for number in range(500)]
     soft = [press for press in presses if not press.scene.object.rigid]
