@@ -2,7 +2,8 @@
 
 The flat block under the gel, or the quarter or half of it that mirror planes leave, is cut into near cubes and bisected down to the size
 field of `gelsim.sizing` (`gelsim.bisection`). Edges are laid along the object's sharp edges where these touch it (`gelsim.rim_edges`).
-Mid-side nodes are set, and all nodes lifted to the dome by z ↦ (z + T)(T + height(x, y)) / T - T, exact on the faces of the block.
+Mid-side nodes are set, and all nodes lifted to the dome by z ↦ (z + T)(T + height(x, y)) / T - T, exact on the faces of the block. Inner
+vertices of tets that this folds are raised or lowered.
 
 Under a shape drawn along y the cubes are cubes in a space squeezed along y: tets are long where nothing changes. It takes a tenth of a
 second, so nothing is cached.
@@ -18,7 +19,18 @@ from numpy.typing import NDArray
 from gelsim.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine
 from gelsim.contact_area import contact_field, edge_in_contact, footprint, rims_on_gel
 from gelsim.errors import MeshingError
-from gelsim.geometry import TET_EDGES, TetMesh, flip, jacobian_determinants, mirrored, outer_faces, quadratic_tets, unfolded
+from gelsim.geometry import (
+    TET_EDGES,
+    TetMesh,
+    flip,
+    jacobian_determinants,
+    mirrored,
+    outer_faces,
+    quadratic_tets,
+    tet_quality,
+    tet_volumes,
+    unfolded,
+)
 from gelsim.rim_edges import lay_edges
 from gelsim.scene import Gel, Scene
 from gelsim.shapes import gel_height
@@ -32,7 +44,10 @@ LONGER = 1.6
 FINE_DEPTH = 0.15
 """Depth over which edges stay as short as at the surface, per thickness and per half width of the contact area."""
 _FOLDED = (1.0, 0.5, 0.25)
-"""Shares of the far edge length, tried in turn where a long flat tet folds under the dome."""
+"""Shares of the far edge length, tried in turn where a long flat tet folds under the dome and no height of a vertex helps."""
+_LEAST = 0.01
+"""Mean-ratio quality below which a tet counts as folded: of one that the dome flattens to none, rounding alone says the sign."""
+_ROUNDS = 10
 
 
 def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
@@ -117,4 +132,31 @@ def _domed(gel: Gel, block: TetMesh) -> TetMesh:
     thickness, nodes = gel.thickness_mm * MM, block.rest_positions.copy()
     share = (nodes[:, 2] + thickness) / thickness
     nodes[:, 2] = np.where(share == 0.0, nodes[:, 2], share * (thickness + gel_height(gel, nodes[:, :2])) - thickness)
+    nodes = _untangled(nodes, block.tets, (share > 0.0) & (share < 1.0))
     return TetMesh(unfolded(nodes, block.tets, 1.0), block.tets, block.groups, block.symmetry)
+
+
+def _untangled(nodes: Array, tets: NDArray[np.int32], inner: NDArray[np.bool_]) -> Array:
+    """Nodes (N, 3) with the `inner` (N,) vertices of folded tets raised or lowered, each to the middle of where no tet around it folds.
+
+    Edges and faces are straight where the lift is bent: one across the crease where a dome ends in its land, or one that leans beside a
+    rim, may pass a vertex that it lay below or above in the flat block. The volume of a tet is linear in the height of a vertex, so the
+    limits are exact. A vertex without such a place stays; a mesh without folds is left as it is, bit for bit.
+    """
+    out = nodes.copy()
+    for _ in range(_ROUNDS):
+        vertices = np.unique(tets[tet_quality(out, tets) < _LEAST, :4])
+        if not len(vertices):
+            break
+        for vertex in vertices[inner[vertices]]:
+            around = tets[(tets[:, :4] == vertex).any(axis=1)]
+            volume = tet_volumes(out, around)
+            raised = out.copy()
+            raised[vertex, 2] += MM
+            slope = (tet_volumes(raised, around) - volume) / MM
+            low, high = (-volume[slope > 0.0] / slope[slope > 0.0]).max(), (-volume[slope < 0.0] / slope[slope < 0.0]).min()
+            if low < high:
+                out[vertex, 2] += 0.5 * (low + high)
+    rise = out[:, 2] - nodes[:, 2]
+    out[tets[:, 4:], 2] += 0.5 * rise[tets[:, TET_EDGES]].sum(axis=2)  # a middle is one node for all tets around its edge
+    return out

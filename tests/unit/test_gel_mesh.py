@@ -201,8 +201,51 @@ def test_contact_on_one_side_is_meshed_there_alone() -> None:
     assert beside[0] > 3 * beside[1]
 
 
+FOLDS = {
+    # A rim across a corner of the gel, where it is 0.4 mm thin, makes a face that leans below a vertex it lay above.
+    "rim": ((2.74, 0.75), Press(depth_mm=1.643, tilt_deg=(-1.07, 5.76), offset_mm=(-0.13, -3.43), twist_deg=-4.03)),
+    # Across the crease an edge passes through a vertex: the dome is twice as thick at 12.5 mm as its land, the vertex half as high again.
+    "crease": ((2.67, 0.6), Press(depth_mm=2.1, tilt_deg=(8.45, 0.0), offset_mm=(-2.58, -3.45), twist_deg=3.05)),
+}
+
+
+@pytest.mark.parametrize("fold", FOLDS)
+def test_what_folds_under_the_dome_is_untangled(fold: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (thickness, edge), press = FOLDS[fold]
+    gel = Gel(profile="dome", thickness_mm=thickness, edge_thickness_mm=edge)
+    given = Scene(object=Body(shape="flat", rigid=True), gel=gel, press=press, fidelity="fast")
+    untangled, seen = gel_mesh._untangled, []
+    monkeypatch.setattr(gel_mesh, "_untangled", lambda *args: seen.append((*args, untangled(*args))) or seen[-1][-1])
+    mesh = mesh_gel(given, WHOLE)
+    assert_whole(mesh)
+    top = mesh.rest_positions[np.unique(mesh.groups["coated"][:, :3])]
+    assert np.abs(top[:, 2] - gel_height(gel, top[:, :2])).max() < 1e-15
+    ((before, tets, _, after),) = seen
+    assert np.array_equal(after[:, :2], before[:, :2])
+    moved = np.intersect1d(np.flatnonzero(after[:, 2] != before[:, 2]), tets[:, :4])
+    assert len(moved) and np.isin(moved, tets[tet_quality(before, tets) < gel_mesh._LEAST, :4]).all()
+    straight = after[tets[:, :4]][:, TET_EDGES].mean(axis=2) - before[tets[:, :4]][:, TET_EDGES].mean(axis=2)
+    assert np.abs(after[tets[:, 4:]] - before[tets[:, 4:]] - straight).max() < 1e-15  # middles go with their edges
+    monkeypatch.setattr(gel_mesh, "_untangled", lambda nodes, tets, inner: nodes)  # the planted fault
+    with pytest.raises(MeshingError, match=r"filling the gel.*folded one \(smallest Jacobian -.*try another fidelity"):
+        mesh_gel(given, WHOLE)
+
+
+def test_untangling_leaves_alone_what_does_not_fold_and_what_no_height_unfolds() -> None:
+    mesh = mesh_gel(scene("hemisphere"), QUARTER)
+    nodes, tets = mesh.rest_positions, mesh.tets
+    inner = ~np.isin(np.arange(len(nodes)), outer_faces(tets))
+    assert gel_mesh._untangled(nodes, tets, inner).tobytes() == nodes.tobytes()
+    vertex = np.intersect1d(np.flatnonzero(inner), tets[:, :4])[0]
+    high, aside = nodes.copy(), nodes.copy()
+    high[vertex, 2] += 3e-3  # beyond its neighbours: there are heights at which nothing folds
+    aside[vertex, 0] += 5e-3  # there are none
+    assert tet_quality(high, tets).min() < 0 < 0.05 < tet_quality(gel_mesh._untangled(high, tets, inner), tets).min()
+    assert gel_mesh._untangled(aside, tets, inner)[vertex].tobytes() == aside[vertex].tobytes()
+
+
 def test_a_fold_under_the_dome_is_refined_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is well in the flat block may fold where the dome bends it: then the far edges are made shorter."""
+    """Where no height of a vertex helps the far edges are made shorter."""
     domed, tried, folded = gel_mesh._domed, [], 1
 
     def folding(gel: Gel, flat: TetMesh) -> TetMesh:
