@@ -53,3 +53,14 @@ class SolveStatus(enum.Enum):
     LINE_SEARCH_STALLED = "no step along the Newton direction lowered the residual"
     INVERTED_ELEMENT = "an element would have turned inside out"
     NONFINITE = "the residual is not a finite number"
+
+
+class PressEnd(enum.StrEnum):
+    """What a press ended at, for `ended_by` of its info."""
+
+    FORCE = "force_n"
+    DEPTH = "depth_mm"
+    LIMIT = "the farthest that a press to a force goes"
+    """The body is squashed before it carries the force."""
+    LOST = "no equilibrium found further on"
+    """Also of a press to a force that counts as converged: the states on the way to where the search for the force ended."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import DatasetError, SolveStatus
+from gelsim.errors import DatasetError, PressEnd, SolveStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,11 @@ class Deformation:
     """Which step failed, the residual there, and what to try; empty when converged."""
     info: dict[str, object] = field(default_factory=dict)
     """For report.json: mesh sizes, error estimate, symmetry used, solver, warnings."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether it ended where no equilibrium was found, short of its depth and its force."""
+        return self.status is not SolveStatus.CONVERGED or self.info.get("ended_by") == PressEnd.LOST
 
     def warn(self, told: str) -> None:
         """Adds a sentence to the warnings of report.json."""

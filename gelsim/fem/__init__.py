@@ -51,7 +51,7 @@ def solve_press(
     progress: Callable[[int, int], None] | None = None,
     throw: bool = True,
 ) -> Deformation:
-    """Solves a press; one that fails is tried once more, and the one that got further is returned.
+    """Solves a press; one that ends where no equilibrium is found is tried once more, and the one that got further is returned.
 
     The second time it has twice the contact points, volume is held at points too (`HELD`), and what sticks slides at a friction of `STICK`;
     its info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost time and change nothing. Volume
@@ -85,7 +85,7 @@ def solve_press(
             press = run_press(problem, progress=progress, throw=False)
         _note(press, scene, points)
         best = _further(best, press)
-        if press.status is SolveStatus.CONVERGED:
+        if not press.lost:
             break
     assert best is not None
     if throw and best.status is not SolveStatus.CONVERGED:
@@ -109,7 +109,7 @@ def _note(press: Deformation, scene: Scene, points: int) -> None:
     """Tells in a press's info which try it is."""
     press.info["contact_points"] = points
     if points != CONTACT_POINTS[0]:
-        told = "did not converge at first: solved with twice the contact points, and volume held at points, which makes tets stiffer"
+        told = "did not reach its end at first: solved with twice the contact points, and volume held at points, which makes tets stiffer"
         press.warn(told)
     if _tried(scene, points) is not scene:
         told = f"sticking did not converge without a bound: solved with a friction coefficient of {STICK:g} instead"
@@ -118,9 +118,9 @@ def _note(press: Deformation, scene: Scene, points: int) -> None:
 
 def _further(before: Deformation | None, press: Deformation) -> Deformation:
     """Of two tries of one press the one to return."""
-    if before is None or len(press.approach) > len(before.approach) or press.status is SolveStatus.CONVERGED:
+    if before is None:
         return press
-    return before
+    return max(before, press, key=lambda one: (not one.lost, one.status is SolveStatus.CONVERGED, one.approach[-1]))
 
 
 def solves_on_gpu() -> bool:
@@ -142,7 +142,7 @@ def batch_device(device: str) -> str:
 def solve_batch(
     bodies: Sequence[tuple], *, device: str, progress: Callable[[int, int], None] | None = None, costs: Costs | None = None
 ) -> list[Deformation]:
-    """Solves presses with the same meshes side by side; those that fail are tried once more as by `solve_press`, side by side too.
+    """Solves presses with the same meshes side by side; those that end where no equilibrium is found have another try as by `solve_press`.
 
     Args:
         bodies: Of each press the scene, gel, body and placement, as `solve_press` takes them.
@@ -171,7 +171,7 @@ def solve_batch(
         for number, press in zip(failed, run_batch(problems, progress=told, costs=costs), strict=True):
             _note(press, bodies[number][0], points)
             best[number] = _further(best.get(number), press)
-        failed = [number for number in failed if best[number].status is not SolveStatus.CONVERGED]
+        failed = [number for number in failed if best[number].lost]
         if not failed:
             break
     return [best[number] for number in range(len(bodies))]

@@ -1,10 +1,11 @@
 """The press as a sequence of equilibria: the object's base travels toward the gel's window, step by step.
 
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
-contact multipliers take the pressure over (contact.py) and Newton answers once more. A step that does not converge is halved, from where
-it began; after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states are equally spaced in approach. `force_n` ends
+contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton has
+no answer, the one before stands. A step that does not converge is halved, from where it began; after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states are equally spaced in approach. `force_n` ends
 the press where the normal force reaches it, found by the secant rule; without `depth_mm` a first march finds how far that is, and a
-second one records.
+second one records. What ended the press its info says (`errors.PressEnd`): where the first march finds no equilibrium further on, what was
+solved counts as converged all the same, and `fem.solve_press` tries again.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SolveError, SolveStatus
+from gelsim.errors import PressEnd, SolveError, SolveStatus
 from gelsim.fem.contact import ContactState
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
@@ -81,17 +82,18 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
 def march_press(problem: PressProblem, progress: Progress | None = None) -> Generator[Request, NewtonReport, Deformation]:
     """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all."""
     press = problem.scene.press
-    depth, beyond = (press.depth_mm / MM, "") if press.depth_mm is not None else (yield from _find_depth(problem))
+    depth, end, beyond = (press.depth_mm / MM, PressEnd.DEPTH, "") if press.depth_mm is not None else (yield from _find_depth(problem))
     march = _March(problem, press, depth)
     yield from march.run(depth / (press.frames - 1), press.frames, progress)
-    message = ""
+    message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
+        end = PressEnd.LOST
         message = (
             f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "
             "solved and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes"
         )
     deformation = march.recorder.deformation(march.status, message, march.halved)
-    deformation.info["energy"] = march.energy.report()
+    deformation.info["energy"], deformation.info["ended_by"] = march.energy.report(), end
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{beyond}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
@@ -99,10 +101,10 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     return deformation
 
 
-def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple[float, str]]:
-    """Approach [m] at which the force that ends the press is reached, straight down; leaves the problem at first touch again.
+def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple[float, PressEnd, str]]:
+    """Approach [m] at which the force that ends the press is reached, straight down, and that (FORCE); leaves the problem at first touch.
 
-    Where it is not reached: as far as there is an equilibrium, or the limit, and why no further.
+    Where it is not reached: as far as an equilibrium was found (LOST), or the limit (LIMIT), and why no further.
     """
     scene = problem.scene
     limit = _depth_limit(scene)
@@ -110,11 +112,11 @@ def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple
     yield from march.run(CAREFUL_STEP, int(limit / CAREFUL_STEP) + 2, None)
     problem.reset()
     if march.stopped:
-        return march.approach, ""
+        return march.approach, PressEnd.FORCE, ""
     # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
     if march.status is not SolveStatus.CONVERGED and march.approach > 0.0:
-        return march.approach, f" with {march.normal_force:.3g} N; further on {march.status.value}"
-    return limit, ""
+        return march.approach, PressEnd.LOST, f" with {march.normal_force:.3g} N; further on {march.status.value}"
+    return limit, PressEnd.LIMIT, ""
 
 
 def _depth_limit(scene: Scene) -> float:
@@ -219,12 +221,21 @@ class _March:
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)
         overlap = np.inf
-        for _ in range(MAX_AUGMENTATIONS):
+        for number in range(MAX_AUGMENTATIONS):
             if report.status is not SolveStatus.CONVERGED:
                 break
+            balanced = (problem.solids.state(), contact.save(), report) if number > 0 else None
             contact.augment()
             report = yield Request(reach)
             self._count(report)
+            if balanced is not None and report.status is not SolveStatus.CONVERGED:
+                # what was to have less overlap is lost, the equilibrium before it is not
+                self._wasted += report.iterations
+                fields, pairs, report = balanced
+                problem.solids.set_state(fields)
+                contact.restore(pairs)
+                yield Request(reach, solve=False)
+                break
             last, overlap = overlap, -float(contact.gap.numpy().min())
             if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
                 break

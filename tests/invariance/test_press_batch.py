@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 from gelsim import pipeline
-from gelsim.errors import SolveStatus
+from gelsim.errors import PressEnd, SolveStatus
 from gelsim.fem import solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
@@ -107,23 +107,25 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
 
 
 def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As `solve_press` does; the others are left as they are."""
+    """As `solve_press` does: one that failed, and one to a force that found no equilibrium on its way. The other is left as it is."""
     asked = []
 
     def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
         asked.append([(problem.contact.points, problem.law.stiffness, problem.law.friction) for problem in problems])
         progress(len(problems), len(problems))
-        stopped = [len(asked) == 1 and number == 1 for number in range(len(problems))]
-        return [replace(solved, status=SolveStatus.MAX_ITERATIONS if stop else solved.status, info={}) for stop in stopped]
+        if len(asked) > 1:
+            return [replace(solved, info={"ended_by": PressEnd.DEPTH}) for _ in problems]
+        failed = replace(solved, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
+        return [replace(solved, info={"ended_by": PressEnd.LIMIT}), failed, replace(solved, info={"ended_by": PressEnd.LOST})]
 
     scenes, told = [scene(100.0), scene(45.0, friction="stick"), scene(400.0)], []
     solved = alone(scenes[0])
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
     bodies = [(one, *pipeline.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
-    assert [[points for points, *_ in tries] for tries in asked] == [[6, 6, 6], [12]]
+    assert [[points for points, *_ in tries] for tries in asked] == [[6, 6, 6], [12, 12]]
     assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
-    assert [press.info["contact_points"] for press in presses] == [6, 12, 6]
+    assert [press.info["contact_points"] for press in presses] == [6, 12, 12]
     # what sticks slides at a large friction then, and says so
     assert (asked[0][1][2], asked[1][0][2]) == (-1.0, 10.0)
     assert ["friction coefficient of 10" in str(press.info.get("warnings")) for press in presses] == [False, True, False]

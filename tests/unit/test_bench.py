@@ -14,7 +14,7 @@ import pytest
 
 from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability
 from gelsim.bench.section import Case, Options, Section
-from gelsim.errors import SceneError
+from gelsim.errors import PressEnd, SceneError
 from gelsim.scene_file import build_scene
 from gelsim.workers import Handful, LocalCrew, work_through
 
@@ -142,6 +142,21 @@ def test_random_scenes_depend_on_their_number_alone() -> None:
     first = [random_scenes.draw(index) for index in range(20)]
     assert [random_scenes.draw(index) for index in reversed(range(20))] == first[::-1]
     assert len({str(scene) for scene in first}) == 20
+
+
+def test_a_random_scene_that_lost_its_equilibrium_before_its_force_has_not_converged() -> None:
+    """Its status says so of the states that it has; one that is squashed as far as presses to a force go is no failure, and is counted."""
+    numbers: dict[str, object] = dict.fromkeys(("steps_halved", "penetration_um", "min_jacobian", "drift_percent", "seconds"), 0.0)
+    rows: list[dict[str, object]] = [
+        {"name": end.name, "shape": "edge", "status": "CONVERGED", "ended_by": end, "states": 6, "message": ""} | numbers
+        for end in PressEnd
+    ]
+    rows.append({"name": "none", "shape": "edge", "status": "MAX_ITERATIONS", "states": 1, "message": "stopped", "ended_by": PressEnd.LOST})
+    rows.append({"name": "no scene", "shape": "edge", "status": "SceneError", "message": "refused"})
+    section = random_scenes.SECTION
+    assert [row["name"] for row in section.listed(rows)] == ["LOST", "none", "no scene"]
+    said = section.remarks(rows)
+    assert "3 of 6 converge" in said and "before they carry it: LIMIT." in said
 
 
 def _misbehaves(how: str) -> dict[str, object]:

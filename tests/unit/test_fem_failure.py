@@ -10,8 +10,9 @@ from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_
 from planar_fixtures import press_of
 
 from gelsim.bench.presses import ball
-from gelsim.errors import SolveError, SolveStatus
-from gelsim.fem import quasistatic
+from gelsim.errors import PressEnd, SolveError, SolveStatus
+from gelsim.fem import _further, quasistatic  # pyright: ignore[reportPrivateUsage]
+from gelsim.fem.newton import Newton
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.results import Deformation
@@ -102,3 +103,83 @@ def test_after_a_failure_steps_are_those_of_the_search_for_a_force(monkeypatch: 
     assert press.approach / MM == pytest.approx([0.0, 0.6, 1.2])
     assert press.info["steps_halved"] == fails
     assert steps == ([0.6, 0.25, 0.25, 0.1, 0.25, 0.25, 0.1] if fails else [0.6, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "force_n", "farthest_mm", "end"),
+    [
+        (0.6, None, 1.0, PressEnd.DEPTH),
+        (0.6, 0.01, 1.0, PressEnd.FORCE),
+        (None, 0.01, 1.0, PressEnd.FORCE),
+        (None, 100.0, 1.0, PressEnd.LIMIT),
+        (None, 100.0, 0.4, PressEnd.LOST),
+        (None, 0.01, 0.4, PressEnd.FORCE),
+    ],
+)
+def test_a_press_says_what_it_ended_at(
+    monkeypatch: pytest.MonkeyPatch, depth_mm: float | None, force_n: float | None, farthest_mm: float, end: PressEnd
+) -> None:
+    """A ball to 0.01 N, to more than it ever carries, and with no equilibrium to be found beyond 0.4 mm. All "converge"."""
+    attempt = quasistatic._March._attempt  # pyright: ignore[reportPrivateUsage]
+
+    def ends(march, here, new, seconds=0.0):  # type: ignore[no-untyped-def]
+        if new / MM > farthest_mm + 1e-9:
+            march.status = SolveStatus.MAX_ITERATIONS
+            return False
+        return (yield from attempt(march, here, new, seconds))
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(quasistatic, "_depth_limit", lambda scene: 0.6 * MM)
+    scene = ball_scene(0.6, 3, radius_mm=5.0)
+    scene = scene.replace(press=replace(scene.press, depth_mm=depth_mm, force_n=force_n))
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert press.status is SolveStatus.CONVERGED
+    assert press.info["ended_by"] == end
+    assert press.lost == (end is PressEnd.LOST)
+
+
+def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every step's second one goes astray: what is left are the states of the first ones, and no step is halved."""
+    monkeypatch.setattr(quasistatic, "OVERLAP_MM", 0.0)  # always another
+    scene = ball_scene(0.6, 3, radius_mm=5.0, friction=0.5, shear_mm=(0.1, 0.0))
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    with monkeypatch.context() as once:
+        once.setattr(quasistatic, "MAX_AUGMENTATIONS", 1)
+        expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    solve, exact, lost = Newton.solve, [0], [0]
+
+    def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
+        report = solve(newton, reach, tolerance, solving)
+        exact[0] = exact[0] + 1 if solving and tolerance is None else exact[0] if not solving else 0
+        if not solving or exact[0] < 2:
+            return report
+        lost[0] += 1
+        displacement, pressure = newton.solids.state()
+        newton.solids.set_state((0.5 * displacement, pressure))
+        newton.residual(reach)
+        return replace(report, status=SolveStatus.MAX_ITERATIONS)
+
+    monkeypatch.setattr(Newton, "solve", astray)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert lost[0] == 2 and press.info["steps_halved"] == 0
+    assert press.force == pytest.approx(expected.force, rel=1e-9, abs=1e-9)
+    assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
+
+
+def test_of_two_tries_the_better_is_kept() -> None:
+    """One that reached its end; of two that did not one that counts as converged; of two such the one that got farther."""
+    scene = ball_scene(0.3, 2, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 2, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+
+    def ended(by: PressEnd, status: SolveStatus, travel: float) -> Deformation:
+        return replace(press, status=status, approach=press.approach * travel, info={"ended_by": by})
+
+    failed = ended(PressEnd.LOST, SolveStatus.MAX_ITERATIONS, 3.0)
+    near, far = (ended(PressEnd.LOST, SolveStatus.CONVERGED, travel) for travel in (1.0, 2.0))
+    squashed = ended(PressEnd.LIMIT, SolveStatus.CONVERGED, 0.5)
+    for worse, better in ((failed, near), (near, far), (far, squashed), (failed, squashed)):
+        assert _further(worse, better) is better
+        assert _further(better, worse) is better
+    assert _further(near, replace(near)) is near
