@@ -1,11 +1,12 @@
 """The press as a sequence of equilibria: the object's base travels toward the gel's window, step by step.
 
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
-contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton has
-no answer, the one before stands. A step that does not converge is halved, from where it began; after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states are equally spaced in approach. `force_n` ends
-the press where the normal force reaches it, found by the secant rule; without `depth_mm` a first march finds how far that is, and a
-second one records. What ended the press its info says (`errors.PressEnd`): where the first march finds no equilibrium further on, what was
-solved counts as converged all the same, and `fem.solve_press` tries again.
+contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
+has no answer, the one before stands. A step that does not converge is halved, from where it began; after two easy steps it doubles again,
+to CAREFUL_STEP at most. Recorded states are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found
+by the secant rule; without `depth_mm` a first march finds how far that is, and a second one records. What ended a press its info says
+(`errors.PressEnd`): where the first march finds no equilibrium further on, the states on the way there count as converged all the same,
+and `fem.solve_press` tries again.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
