@@ -3,6 +3,10 @@
 Each is handed a few pieces of work at a time, so that it is known which of them ended it. It computes on one thread unless given more:
 libraries would otherwise start a thread a core in every one. A worker that dies, or takes longer than SECONDS, is replaced and its
 pieces are listed; a process whose parent is gone ends itself. Results do not depend on which worker made them, nor on how many there are.
+
+Two troubles are nobody's piece's fault, and cost a piece nothing the first time: it is put back behind the others. Workers that end before
+they have done anything (a GPU's server that takes no new clients for some seconds after others were killed): new ones are started, a pause
+between them, for PATIENCE. And workers that stand still, all at once (processes that share a GPU were seen to): all are replaced.
 """
 
 from __future__ import annotations
@@ -22,8 +26,11 @@ from gelsim.errors import GelsimError
 
 SECONDS = 1800.0
 """Allowed for a handful."""
-STARTS = 3
-"""Workers that may die before they did anything, one after the other."""
+STARTS, PATIENCE, PAUSE = 3, 30.0, 1.0
+"""Workers that may end before they did anything, one after the other; more of them only within so many seconds, with a pause after each."""
+STILL = 180.0
+"""Seconds without an answer from any of many workers, after which they count as standing still. For fewer than SECONDS / STILL busy ones it
+is SECONDS over their number: two slow pieces are no standstill."""
 
 Handful = tuple[int, ...]
 """Numbers of pieces of work."""
@@ -136,45 +143,64 @@ def work_through(
     make: Callable[..., Work[T]],
     arguments: tuple[Any, ...],
     lost: Callable[[Handful, str, str], T],
+    still: bool = False,
 ) -> Iterator[T]:
     """Lets a crew do all handfuls; yields each as it is done, in whatever order.
 
     Args:
         make: A function of a module that makes, from `arguments`, what does the work; called once in each worker.
         lost: Says what becomes of a handful (status, message) whose worker died or took too long.
+        still: Whether all are replaced when nobody answers for long (STILL); not for work whose pieces may all take as long.
     Raises:
-        WorkError: Workers die before they begin.
+        WorkError: Workers end before they begin.
     """
     left = deque(handfuls)
     places = [_Place(crew.start(number, make, arguments)) for number in range(min(crew.count, len(left)))]
-    still_born = 0
+    still_born, second = 0, set[Handful]()
+    answered = time.monotonic()
     try:
         for place in places:
             place.give(left.popleft())
         while busy := [place for place in places if place.handful is not None]:
             ready = crew.ready([place.worker for place in busy], timeout=1.0)
+            now = time.monotonic()
+            quiet = 0.0 if ready else now - answered
+            stand_still = still and quiet > max(STILL, SECONDS / len(busy))
+            if stand_still:
+                answered = now
+                for place in busy:  # all of them before the first begins anew: what they share is free then
+                    place.worker.end()
             for number, place in enumerate(places):
-                handful, trouble = place.handful, None
+                handful, trouble, innocent = place.handful, None, False
                 if handful is None:
                     continue
                 if place.worker in ready:
                     try:
                         done = place.worker.take()
                     except Died as died:
-                        trouble = "DIED", str(died)
+                        trouble, innocent = ("DIED", str(died)), not place.worked
                     else:
                         still_born, place.worked, place.handful = 0, True, None
+                        answered = time.monotonic()
                         yield done
-                elif time.monotonic() - place.since > SECONDS:
+                elif stand_still:
+                    trouble, innocent = ("TIMEOUT", f"no worker answered for {quiet:.0f} s"), True
+                elif now - place.since > SECONDS:
                     trouble = "TIMEOUT", f"not done after {SECONDS:g} s"
                 else:
                     continue
                 if trouble:
-                    still_born += 0 if place.worked else 1
-                    if still_born >= STARTS:
-                        raise WorkError(f"{STARTS} workers ended before they had done anything; the last: {trouble[1]}")
                     place.worker.end()
-                    yield lost(handful, *trouble)
+                    if innocent and trouble[0] == "DIED":
+                        still_born += 1
+                        if still_born >= STARTS and time.monotonic() - answered > PATIENCE:
+                            raise WorkError(f"{still_born} workers ended before they had done anything; the last: {trouble[1]}")
+                        time.sleep(PAUSE)
+                    if innocent and handful not in second:
+                        second.add(handful)
+                        left.append(handful)
+                    else:
+                        yield lost(handful, *trouble)
                     places[number] = place = _Place(crew.start(number, make, arguments))
                 if left:
                     place.give(left.popleft())

@@ -94,7 +94,7 @@ def relight(
         handfuls = [tuple(positions) for positions in of_press.values()]
         arguments = (source, sensor, name, seed, out, device)
         try:
-            for done in work_through(handfuls, crew, make_relighter, arguments, lost):
+            for done in work_through(handfuls, crew, make_relighter, arguments, lost, still=True):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)

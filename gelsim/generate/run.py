@@ -108,7 +108,7 @@ def generate(
 
         arguments = (plan, seed, out, todo, device, light)
         try:
-            for done in work_through(handfuls, crew, make_worker, arguments, lost):
+            for done in work_through(handfuls, crew, make_worker, arguments, lost, still=True):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)

@@ -17,6 +17,7 @@ import pytest
 from dataset_fixtures import TINY, contents, formula_field, put_fields
 
 from gelsim import generate as generating
+from gelsim import workers
 from gelsim.dataset import load_dataset
 from gelsim.errors import DatasetError, SceneError, SolveStatus
 from gelsim.generate import recording
@@ -119,6 +120,19 @@ def make_still_born(*_: object):
     os._exit(7)
 
 
+def make_unlucky(folder: Path, trouble: str, number: int):
+    """The first `number` workers stand still, or end, before they have done anything."""
+    (folder / str(os.getpid())).touch()
+    if len(list(folder.iterdir())) <= number:
+        time.sleep(1000.0) if trouble == "stand still" else os._exit(7)
+    return Done
+
+
+def make_slow_second():
+    """Never answers for piece 1."""
+    return lambda handful: time.sleep(1000.0) if handful == (1,) else Done(handful)
+
+
 def lost(handful, status: str, message: str) -> Done:
     return Done(handful, failures=[{"status": status, "message": message}])
 
@@ -150,9 +164,28 @@ def test_gpus_are_given_in_turn():
     assert {item.rows[0][0]["sees"] for item in done} <= {"0", "7"}
 
 
-def test_workers_that_never_begin_end_the_run():
+def test_workers_that_never_begin_end_the_run(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(workers, "PATIENCE", 0.0)
     with pytest.raises(WorkError, match="3 workers ended before they had done anything"):
         list(work_through([(n,) for n in range(9)], LocalCrew(2), make_still_born, (), lost))
+
+
+@pytest.mark.parametrize("trouble", ["end", "stand still"])
+def test_what_workers_in_trouble_held_is_done_by_others(trouble: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Workers that share a GPU were seen to stand still all at once, and to be refused by its server for some seconds."""
+    monkeypatch.setattr(workers, "STILL", 4.0)
+    monkeypatch.setattr(workers, "SECONDS", 8.0)
+    handfuls = [(number,) for number in range(5)]
+    done = list(work_through(handfuls, LocalCrew(2), make_unlucky, (tmp_path, trouble, 4 if trouble == "end" else 2), lost, still=True))
+    assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
+
+
+def test_a_piece_that_stands_still_twice_is_listed(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(workers, "STILL", 2.0)
+    monkeypatch.setattr(workers, "SECONDS", 4.0)
+    done = {item.handful: item for item in work_through([(n,) for n in range(3)], LocalCrew(2), make_slow_second, (), lost, still=True)}
+    assert set(done) == {(0,), (1,), (2,)} and not done[0,].failures and not done[2,].failures
+    assert done[1,].failures[0]["status"] == "TIMEOUT"
 
 
 # ---- folders ----
