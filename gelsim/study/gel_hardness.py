@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from gelsim.ledger import Row
 from gelsim.study.definition import Study
 
-WHAT = ("change", "equal_force", "equal_depth", "unknown_press", "unknown_radius")
+UNKNOWN = "unknown_press"
+WHAT = ("change", "equal_force", "equal_depth", UNKNOWN, "unknown_radius")
 PICTURES, SLOPES = (tuple(f"{signal}_{what}" for what in WHAT) for signal in ("picture", "slope"))
 BASE = {
     "object": {"shape": "hemisphere", "radius_mm": 8.0},
@@ -21,15 +22,18 @@ BASE = {
 
 
 def answer(rows: Sequence[Row], study: Study) -> str:
-    """Which objects each gel sees best, which gel is best for the softest and the hardest object, and what is left above 00-70."""
-    metric = study.metrics[0]
+    """Which objects each gel sees best, which gel is best for the softest and the hardest object, and what is left above 00-70.
+
+    All for who knows neither force nor depth, as a hand that presses does not.
+    """
+    metric = next(metric for metric in study.metrics if metric.endswith(UNKNOWN))
     seen = {(row["gel.shore_00"], row["object.shore_00"]): row[metric] for row in rows if row.get(metric) is not None}
     if not seen:
         return "No case gave a number."
     gels, objects = (sorted({pair[i] for pair in seen}) for i in (0, 1))
     peaks = {gel: max((pair for pair in seen if pair[0] == gel), key=lambda pair: seen[pair]) for gel in gels}
-    said = ", ".join(f"{gel:g} at {peaks[gel][1]:g}" for gel in gels)
-    text = f"At equal force a gel shows a Shore point best, pixel by pixel, at an object of: {said} (gel at object, Shore 00)."
+    said = ", ".join(f"00-{peaks[gel][1]:g} by a gel of 00-{gel:g}" for gel in gels)
+    text = f"Who knows neither force nor depth is told a Shore point best of an object of {said}."
     for name, body in (("softest", objects[0]), ("hardest", objects[-1])):
         best = max((pair for pair in seen if pair[1] == body), key=lambda pair: seen[pair])
         text += f" The {name} object, 00-{body:g}, is told apart best by the gel of 00-{best[0]:g}."
