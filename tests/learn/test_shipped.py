@@ -14,7 +14,7 @@ from learn.data import UNKNOWN_GEL, Gel, Press
 from learn.estimate import batches, estimate
 from learn.predict import predict, shipped_model
 
-ROW_RMSE = 6.4
+ROW_RMSE = 6.0
 """Of firm presses of trained shapes, novel hardness (assets/models/README.md)."""
 
 
@@ -43,7 +43,7 @@ def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel() -> None:
         return float(said.mean[0])
 
     # Sums of float32 in another order, on another machine.
-    assert read(UNKNOWN_GEL) == pytest.approx(38.680, abs=0.01) and read((2.4, 1.0, 17.0)) == pytest.approx(39.344, abs=0.01)
+    assert read(UNKNOWN_GEL) == pytest.approx(40.265, abs=0.01) and read((2.4, 1.0, 17.0)) == pytest.approx(41.672, abs=0.01)
     assert read((2.8, 1.0, 17.0)) + 2 < read((2.4, 1.0, 17.0)) < read((2.4, 1.0, 20.0)) - 1
 
 
