@@ -99,6 +99,7 @@ class PressProblem:
         self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
         self.shear = np.array([material.mu * KPA for material in of_tets])
+        self.held = held
         if held > 0.0:
             self.solids.hold_volume(np.minimum(held * self.shear, 0.5 * kappa))
         softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA

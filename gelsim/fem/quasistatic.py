@@ -2,11 +2,11 @@
 
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
 contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
-has no answer, the one before stands. A step that does not converge is halved, from where it began; after two easy steps it doubles again,
-to CAREFUL_STEP at most. Recorded states are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found
-by the secant rule; without `depth_mm` a first march finds how far that is, and a second one records. What ended a press its info says
-(`errors.PressEnd`): where the first march finds no equilibrium further on, the states on the way there count as converged all the same,
-and `fem.solve_press` tries again.
+has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's second try after it was
+tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states
+are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
+first march finds how far that is, and a second one records. What ended a press its info says (`errors.PressEnd`): where the first march
+finds no equilibrium further on, the states on the way there count as converged all the same, and `fem.solve_press` tries again.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
@@ -39,6 +39,7 @@ Progress = Callable[[int, int], None]
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
 OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
+CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no answer; sharp rims into `fast` meshes keep up to that
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
@@ -211,11 +212,16 @@ class _March:
         if progress is not None:
             progress(len(self.recorder.approach), states)
 
-    def _attempt(self, here: _State, new: float, seconds: float = 0.0) -> Generator[Request, NewtonReport, bool]:
-        """Solves at approach `new` [m], from `here`; where that fails everything is put back. 0 seconds: what the travel takes."""
+    def _attempt(self, here: _State, new: float, seconds: float = 0.0, *, again: bool = False) -> Generator[Request, NewtonReport, bool]:
+        """Solves at approach `new` [m], from `here`; where that fails everything is put back. 0 seconds: what the travel takes.
+
+        In a press's second try a failure is tried `again` without the state before `here`: where a point at a soft tip has just changed
+        face, extrapolating its motion throws it onto the next one. What that finds with one body through the other (CUT_MM) is no answer.
+        """
         problem = self.problem
         contact = problem.contact
-        self._predict(here, new)
+        extrapolated = not again and self._previous is not None
+        self._predict(here, new, extrapolated)
         if problem.memory is not None:
             problem.memory.begin(seconds or self._seconds(here, new))
         reach = 1.0 + 2 * (new - here.approach) * MM
@@ -241,13 +247,16 @@ class _March:
             if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
                 break
         folds = report.min_jacobian < FOLDED * here.min_jacobian and new - here.approach > FOLDED_STEP * self._spacing
-        if report.status is SolveStatus.CONVERGED and not folds:
+        through = again and overlap > CUT_MM
+        if report.status is SolveStatus.CONVERGED and not folds and not through:
             self._smallest = report.min_jacobian
             return True
         self.status = SolveStatus.INVERTED_ELEMENT if report.status is SolveStatus.CONVERGED else report.status
         self._wasted += report.iterations
         self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
+        if extrapolated and problem.held and report.status is not SolveStatus.CONVERGED:
+            return (yield from self._attempt(here, new, seconds, again=True))
         return False
 
     def _seconds(self, here: _State, new: float) -> float:
@@ -269,12 +278,13 @@ class _March:
         self._iterations += report.iterations
         self._factorisations += report.factorisations
 
-    def _predict(self, here: _State, new: float) -> None:
-        """Extrapolates the solids and the multipliers; the driven nodes go exactly where they must."""
+    def _predict(self, here: _State, new: float, extrapolated: bool) -> None:
+        """Extrapolates the solids and the multipliers, or moves the object along; the driven nodes go exactly where they must."""
         problem = self.problem
         displacement, pressure = here.fields[0].copy(), here.fields[1].copy()
         multipliers = here.contact.multipliers
-        if self._previous is not None:
+        if extrapolated:
+            assert self._previous is not None
             ratio = (new - here.approach) / (here.approach - self._previous.approach)
             displacement += ratio * (here.fields[0] - self._previous.fields[0])
             pressure += ratio * (here.fields[1] - self._previous.fields[1])

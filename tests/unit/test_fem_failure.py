@@ -167,6 +167,37 @@ def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
 
 
+def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Second try; each step that starts from an extrapolation goes astray: those without it lead to the same states, none is halved."""
+    scene = ball_scene(0.6, 4, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    predict, solve, starts = quasistatic._March._predict, Newton.solve, []  # pyright: ignore[reportPrivateUsage]
+
+    def told(march, here, new, extrapolated):  # type: ignore[no-untyped-def]
+        starts.append(extrapolated)
+        predict(march, here, new, extrapolated)
+
+    def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
+        report = solve(newton, reach, tolerance, solving)
+        if not (solving and starts[-1]):
+            return report
+        displacement, pressure = newton.solids.state()
+        newton.solids.set_state((0.5 * displacement, pressure))
+        return replace(report, status=SolveStatus.MAX_ITERATIONS)
+
+    monkeypatch.setattr(quasistatic._March, "_predict", told)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(Newton, "solve", astray)
+    problem = problem_of(scene, gel, rigid_body(scene, gel))
+    problem.held = 1.0
+    press = run_press(problem)
+    assert starts == [False, True, False, True, False] and press.info["steps_halved"] == 0
+    # Multipliers that were not extrapolated leave another overlap, below OVERLAP_MM of the 0.2 mm of the first state; the force goes as
+    # the depth to the power of 1.5.
+    assert press.force == pytest.approx(expected.force, rel=1.5 * quasistatic.OVERLAP_MM / 0.2, abs=1e-6)
+    assert press.gel.displacement == pytest.approx(expected.gel.displacement, abs=quasistatic.OVERLAP_MM * MM)
+
+
 def test_of_two_tries_the_better_is_kept() -> None:
     """One that reached its end; of two that did not one that counts as converged; of two such the one that got farther."""
     scene = ball_scene(0.3, 2, radius_mm=5.0)

@@ -50,7 +50,7 @@ class PlanarProblem(PressProblem):
     def __init__(self, scene: Scene, gel: PlanarMesh, body: PlanarMesh, gel_material: ElasticMaterial,
                  object_material: ElasticMaterial | None, depth_mm: float | None, *, tolerance: float | None = None,
                  contact_points: int = 4, triangle_points: int = 6) -> None:  # fmt: skip
-        self.scene, self.object_material = scene, object_material
+        self.scene, self.object_material, self.held = scene, object_material, 0.0
         self.gel, self.body = gel, body  # type: ignore[assignment]
         self.turned, self.depth_mm = depth_mm is None, depth_mm
         self.copies = 2 * np.pi if depth_mm is None else 2 * depth_mm
