@@ -251,7 +251,9 @@ class _March:
         if report.status is SolveStatus.CONVERGED and not folds and not through:
             self._smallest = report.min_jacobian
             return True
-        self.status = SolveStatus.INVERTED_ELEMENT if report.status is SolveStatus.CONVERGED else report.status
+        self.status = report.status
+        if report.status is SolveStatus.CONVERGED:
+            self.status = SolveStatus.INVERTED_ELEMENT if folds else SolveStatus.MAX_ITERATIONS
         self._wasted += report.iterations
         self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
