@@ -92,7 +92,7 @@ def _child(fidelity: str, batch: int, device: str, ready: Any, done: Any) -> Non
 
 
 def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
-    from gelsim.fem import CONTACT_POINTS, solve_batch
+    from gelsim.fem import TRIES, solve_batch
     from gelsim.fem.batch import Costs, copy_bandwidth
 
     prepared = _scenes(symmetry, fidelity, batch)
@@ -113,7 +113,7 @@ def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
         "status": next((press.status.name for press in failed.values()), SolveStatus.CONVERGED.name),
         "message": "; ".join(f"{number}: {press.message}" for number, press in failed.items()),
         "failed": len(failed),
-        "tried_again": sum(press.info["contact_points"] != CONTACT_POINTS[0] for press in presses),
+        "tried_again": sum(press.info["contact_points"] != TRIES[0].contact_points for press in presses),
         "device": device,
         "batch": batch,
         "unknowns": costs.unknowns,

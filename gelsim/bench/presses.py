@@ -61,6 +61,7 @@ def facts(press: Deformation, states_wanted: int) -> Row:
         "status": press.status.name,
         "message": press.message if press.status is not SolveStatus.CONVERGED else "",
         "ended_by": press.info["ended_by"],
+        "friction_coefficient": press.info.get("friction_coefficient"),
         "states": len(press.approach),
         "states_wanted": states_wanted,
         "unknowns": press.info["unknowns"],

@@ -3,7 +3,7 @@
 Scene i is the same whatever ran before it: its numbers come from SeedSequence(SEED, spawn_key=(i,)). Each is solved at `fast` in a child
 process that is ended after SECONDS or above MEMORY. Wanted: 99.5 % converge. Every one that does not is listed with what it said. One to a
 force whose search ended where no equilibrium was found counts among these, though the states on the way there converged; one squashed as
-far as a press to a force goes does not, and is named.
+far as a press to a force goes does not, and is named. So is one that its last try solved with another friction than it asked for.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def _cases(options: Options) -> Iterator[Case]:
     bounded = Bounded(measure_drawn, SECONDS, MEMORY)
     for index in range(QUICK_COUNT if options.quick else COUNT):
         scene = draw(index)
-        named: Row = {"shape": scene["object"]["shape"], "said": _said(scene)}
+        named: Row = {"shape": scene["object"]["shape"], "said": _said(scene), "friction": scene["contact"]["friction_coefficient"]}
         yield Case(f"{index:03d}", lambda index=index, named=named: named | bounded(index), scene)
 
 
@@ -124,12 +124,15 @@ def _remarks(rows: list[Row]) -> str:
 
     failed = _failed(rows)
     squashed = ", ".join(row["name"] for row in rows if row.get("ended_by") == PressEnd.LIMIT)
+    changed = [row for row in rows if _solved(row) and row.get("friction_coefficient") not in (None, row.get("friction"))]
+    other = ", ".join(f"{row['name']} ({row['friction_coefficient']:g} for {row['friction']})" for row in changed)
     share = 1 - len(failed) / len(rows)
     verdict = "too few scenes to tell" if len(rows) < COUNT else "met" if share >= WANTED else "NOT MET"
     lines = [
         f"{len(rows) - len(failed)} of {len(rows)} converge, {100 * share:.2f} % "
         f"(wanted {100 * WANTED:g} % of {COUNT}: {verdict}), seed {SEED}. "
-        f"Squashed as far as a press to a force goes before they carry it: {squashed or 'none'}.",
+        f"Squashed as far as a press to a force goes before they carry it: {squashed or 'none'}. "
+        f"Solved with another friction than asked for: {other or 'none'}.",
         "",
         *table(
             (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,13 +22,25 @@ if TYPE_CHECKING:
     from gelsim.fem.batch import Costs
 
 
-CONTACT_POINTS = (6, 12)
-"""Quadrature points on a face of the gel: as always, and where that failed."""
-HELD = 20.0
-"""Shear moduli of κ by which that second try holds volume at points (`assembly.Solids.hold_volume`)."""
+@dataclass(frozen=True)
+class Try:
+    """One way to solve a press."""
+
+    contact_points: int = 6
+    """Quadrature points on a face of the gel."""
+    held: float = 0.0
+    """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
+    friction: tuple[float, float] | None = None
+    """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
+
+
 STICK = 10.0
 """μ that stands for sticking where that failed: without any bound a point that lifts off drops its whole traction at once, and where a
 step's solution lies on that jump Newton finds none."""
+GRIP = 0.3
+"""Least μ of the last try: a soft tip that nothing holds slides away in its own folds, and Newton with it."""
+TRIES = (Try(), Try(12, 20.0, (0.0, STICK)), Try(12, 20.0, (GRIP, STICK)))
+"""Of a press, one after the other, until one reaches its end; the last one only where it differs from that before."""
 
 
 def quiet_warp() -> None:
@@ -51,11 +63,12 @@ def solve_press(
     progress: Callable[[int, int], None] | None = None,
     throw: bool = True,
 ) -> Deformation:
-    """Solves a press; one that ends where no equilibrium is found is tried once more, and the one that got further is returned.
+    """Solves a press; one that ends where no equilibrium is found is tried again (`TRIES`), and the one that got furthest is returned.
 
-    The second time it has twice the contact points, volume is held at points too (`HELD`), and what sticks slides at a friction of `STICK`;
-    its info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost time and change nothing. Volume
-    held at points keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    The second time it has twice the contact points, volume is held at points too, and what sticks slides at friction `STICK`; the third
+    time, where friction was less, it is `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on smooth
+    bodies they cost time and change nothing. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few per
+    cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -75,15 +88,14 @@ def solve_press(
 
     best: Deformation | None = None
     name = "cuda:0" if device == "cuda" else "cpu"
-    for points in CONTACT_POINTS:
-        tried = _tried(scene, points)
-        bodies = tried, gel, body, placement, gel_material, object_material, name
-        problem = PressProblem(*bodies, part_materials=part_materials, contact_points=points, held=_held(points))
+    for way in _ways(scene):
+        bodies = _tried(scene, way), gel, body, placement, gel_material, object_material, name
+        problem = PressProblem(*bodies, part_materials=part_materials, contact_points=way.contact_points, held=way.held)
         if name != "cpu" and problem.memory is None and solves_on_gpu():
             press = run_batch([problem], states=progress)[0]
         else:
             press = run_press(problem, progress=progress, throw=False)
-        _note(press, scene, points)
+        _note(press, scene, way)
         best = _further(best, press)
         if not press.lost:
             break
@@ -93,27 +105,31 @@ def solve_press(
     return best
 
 
-def _tried(scene: Scene, points: int) -> Scene:
-    """The scene of a try with so many contact points."""
-    if points == CONTACT_POINTS[0] or scene.contact.friction_coefficient != "stick":
+def _ways(scene: Scene) -> list[Try]:
+    """The tries that the scene may have."""
+    friction = scene.contact.friction_coefficient
+    return [*TRIES] if isinstance(friction, float | int) and friction < GRIP else [*TRIES[:-1]]
+
+
+def _tried(scene: Scene, way: Try) -> Scene:
+    """The scene as it is solved."""
+    if way.friction is None:
         return scene
-    return scene.replace(contact=replace(scene.contact, friction_coefficient=STICK))
+    asked, (least, stick) = scene.contact.friction_coefficient, way.friction
+    friction = max(asked, least) if isinstance(asked, float | int) else stick
+    return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
 
 
-def _held(points: int) -> float:
-    """Of a try with so many contact points."""
-    return 0.0 if points == CONTACT_POINTS[0] else HELD
-
-
-def _note(press: Deformation, scene: Scene, points: int) -> None:
+def _note(press: Deformation, scene: Scene, way: Try) -> None:
     """Tells in a press's info which try it is."""
-    press.info["contact_points"] = points
-    if points != CONTACT_POINTS[0]:
+    press.info["contact_points"] = way.contact_points
+    if way.contact_points != TRIES[0].contact_points:
         told = "did not reach its end at first: solved with twice the contact points, and volume held at points, which makes tets stiffer"
         press.warn(told)
-    if _tried(scene, points) is not scene:
-        told = f"sticking did not converge without a bound: solved with a friction coefficient of {STICK:g} instead"
-        press.warn(told)
+    asked, solved = scene.contact.friction_coefficient, _tried(scene, way).contact.friction_coefficient
+    press.info["friction_coefficient"] = solved
+    if solved != asked:
+        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved:g} instead")
 
 
 def _further(before: Deformation | None, press: Deformation) -> Deformation:
@@ -157,23 +173,24 @@ def solve_batch(
 
     best: dict[int, Deformation] = {}
     failed = list(range(len(bodies)))
-    for points in CONTACT_POINTS:
+    for way in TRIES:
+        failed = [number for number in failed if way in _ways(bodies[number][0])]
+        if not failed:
+            break
         problems, start, before = [], time.perf_counter(), len(bodies) - len(failed)
         for number in failed:
             scene, gel, body, placement = bodies[number]
             of_object = list(object_materials(scene).values())
             first = of_object[0] if of_object else None
-            of_all = _tried(scene, points), gel, body, placement, gel_material(scene), first, device
-            problems.append(PressProblem(*of_all, part_materials=of_object[1:], contact_points=points, held=_held(points)))
+            of_all = _tried(scene, way), gel, body, placement, gel_material(scene), first, device
+            problems.append(PressProblem(*of_all, part_materials=of_object[1:], contact_points=way.contact_points, held=way.held))
         if costs is not None:
             costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
         told = None if progress is None else partial(_told, progress, before, len(bodies))
         for number, press in zip(failed, run_batch(problems, progress=told, costs=costs), strict=True):
-            _note(press, bodies[number][0], points)
+            _note(press, bodies[number][0], way)
             best[number] = _further(best.get(number), press)
         failed = [number for number in failed if best[number].lost]
-        if not failed:
-            break
     return [best[number] for number in range(len(bodies))]
 
 

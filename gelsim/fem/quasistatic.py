@@ -45,7 +45,7 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 210
 FORCE_TOLERANCE = 2e-3  # of force_n
-CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force, and the longest of any march once a step has failed
+CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and in later tries
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
 
@@ -158,7 +158,8 @@ class _March:
         yield Request(1.0, solve=False)  # first touch
         self._settle()
         self._keep(states, progress)
-        step, easy, here, largest = spacing, 0, self._state(0.0), spacing
+        largest = min(spacing, CAREFUL_STEP) if problem.held else spacing
+        step, easy, here = largest, 0, self._state(0.0)
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step

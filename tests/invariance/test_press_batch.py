@@ -12,7 +12,7 @@ import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import solve_batch
+from gelsim.fem import GRIP, solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, find_mkl
@@ -107,30 +107,34 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
 
 
 def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As `solve_press` does: one that failed, and one to a force that found no equilibrium on its way. The other is left as it is."""
+    """As `solve_press` does: those that failed, and one to a force that found no equilibrium on its way. The other is left as it is."""
     asked = []
 
     def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
         asked.append([(problem.contact.points, problem.law.stiffness, problem.law.friction) for problem in problems])
         progress(len(problems), len(problems))
-        if len(asked) > 1:
-            return [replace(solved, info={"ended_by": PressEnd.DEPTH}) for _ in problems]
-        failed = replace(solved, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
-        return [replace(solved, info={"ended_by": PressEnd.LIMIT}), failed, replace(solved, info={"ended_by": PressEnd.LOST})]
+        # in the second try one fails again that has the friction of the third, and one that has less
+        lost, done = (SolveStatus.CONVERGED, PressEnd.LOST), (SolveStatus.CONVERGED, PressEnd.DEPTH)
+        stopped = (SolveStatus.MAX_ITERATIONS, PressEnd.LOST)
+        ends = [[(SolveStatus.CONVERGED, PressEnd.LIMIT), stopped, lost, lost], [done, lost, lost], [done]][len(asked) - 1]
+        farther = len(asked) * solved.approach
+        return [replace(solved, status=status, approach=farther, info={"ended_by": end}) for status, end in ends]
 
-    scenes, told = [scene(100.0), scene(45.0, friction="stick"), scene(400.0)], []
+    scenes = [scene(100.0), scene(45.0, friction="stick"), scene(400.0, friction=GRIP), scene(45.0, friction=0.1)]
+    told: list[tuple[int, int]] = []
     solved = alone(scenes[0])
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
     bodies = [(one, *pipeline.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
-    assert [[points for points, *_ in tries] for tries in asked] == [[6, 6, 6], [12, 12]]
+    assert [[points for points, *_ in tries] for tries in asked] == [[6, 6, 6, 6], [12, 12, 12], [12]]
     assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
-    assert [press.info["contact_points"] for press in presses] == [6, 12, 12]
-    # what sticks slides at a large friction then, and says so
-    assert (asked[0][1][2], asked[1][0][2]) == (-1.0, 10.0)
-    assert ["friction coefficient of 10" in str(press.info.get("warnings")) for press in presses] == [False, True, False]
-    assert all(press.status is SolveStatus.CONVERGED for press in presses)
-    assert told == [(3, 3), (3, 3)]
+    assert [press.info["contact_points"] for press in presses] == [6, 12, 12, 12]
+    # what sticks slides at a large friction then, what nothing holds has some the third time; both say so
+    assert [[friction for *_, friction in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, GRIP, 0.1], [GRIP]]
+    assert [press.info["friction_coefficient"] for press in presses] == [0.0, 10.0, GRIP, GRIP]
+    said = ["no equilibrium was found on its way: solved with" in str(press.info.get("warnings")) for press in presses]
+    assert said == [False, True, False, True]
+    assert told == [(4, 4), (4, 4), (4, 4)]
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")

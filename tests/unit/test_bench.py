@@ -153,10 +153,14 @@ def test_a_random_scene_that_lost_its_equilibrium_before_its_force_has_not_conve
     ]
     rows.append({"name": "none", "shape": "edge", "status": "MAX_ITERATIONS", "states": 1, "message": "stopped", "ended_by": PressEnd.LOST})
     rows.append({"name": "no scene", "shape": "edge", "status": "SceneError", "message": "refused"})
+    for row, asked in zip(rows, (0.1, "stick", 0.5), strict=False):
+        row |= {"friction": asked, "friction_coefficient": 0.5}
     section = random_scenes.SECTION
     assert [row["name"] for row in section.listed(rows)] == ["LOST", "none", "no scene"]
     said = section.remarks(rows)
     assert "3 of 6 converge" in said and "before they carry it: LIMIT." in said
+    gripped = {"FORCE": "0.5 for 0.1", "DEPTH": "0.5 for stick"}
+    assert f"Solved with another friction than asked for: {', '.join(f'{end} ({how})' for end, how in gripped.items())}." in said
 
 
 def _misbehaves(how: str) -> dict[str, object]:
