@@ -2,7 +2,7 @@
 
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
 contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
-has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's second try after it was
+has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after it was
 tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states
 are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
 first march finds how far that is, and a second one records. What ended a press its info says (`errors.PressEnd`): where the first march
@@ -216,7 +216,7 @@ class _March:
     def _attempt(self, here: _State, new: float, seconds: float = 0.0, *, again: bool = False) -> Generator[Request, NewtonReport, bool]:
         """Solves at approach `new` [m], from `here`; where that fails everything is put back. 0 seconds: what the travel takes.
 
-        In a press's second try a failure is tried `again` without the state before `here`: where a point at a soft tip has just changed
+        In a press's later tries a failure is tried `again` without the state before `here`: where a point at a soft tip has just changed
         face, extrapolating its motion throws it onto the next one. What that finds with one body through the other (CUT_MM) is no answer.
         """
         problem = self.problem
