@@ -3,7 +3,8 @@
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
 contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
 has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after it was
-tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Recorded states
+tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Later tries march
+in such steps from the start, and where that does not get there in steps as long as the spacing. Recorded states
 are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
 first march finds how far that is, and a second one records. What ended a press its info says (`errors.PressEnd`): where the first march
 finds no equilibrium further on, the states on the way there count as converged all the same, and `fem.solve_press` tries again.
@@ -45,7 +46,7 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 210
 FORCE_TOLERANCE = 2e-3  # of force_n
-CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and in later tries
+CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
 
@@ -85,8 +86,13 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all."""
     press = problem.scene.press
     depth, end, beyond = (press.depth_mm / MM, PressEnd.DEPTH, "") if press.depth_mm is not None else (yield from _find_depth(problem))
-    march = _March(problem, press, depth)
-    yield from march.run(depth / (press.frames - 1), press.frames, progress)
+    spacing = depth / (press.frames - 1)
+    for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
+        problem.reset()
+        march = _March(problem, press, depth)
+        yield from march.run(spacing, press.frames, progress, longest)
+        if march.status is SolveStatus.CONVERGED:
+            break
     message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
         end = PressEnd.LOST
@@ -104,15 +110,14 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
 
 
 def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple[float, PressEnd, str]]:
-    """Approach [m] at which the force that ends the press is reached, straight down, and that (FORCE); leaves the problem at first touch.
+    """Approach [m] at which the force that ends the press is reached, straight down, and that (FORCE).
 
     Where it is not reached: as far as an equilibrium was found (LOST), or the limit (LIMIT), and why no further.
     """
     scene = problem.scene
     limit = _depth_limit(scene)
     march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s), limit)
-    yield from march.run(CAREFUL_STEP, int(limit / CAREFUL_STEP) + 2, None)
-    problem.reset()
+    yield from march.run(CAREFUL_STEP, int(limit / CAREFUL_STEP) + 2, None, CAREFUL_STEP)
     if march.stopped:
         return march.approach, PressEnd.FORCE, ""
     # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
@@ -152,20 +157,22 @@ class _March:
         self._spacing, self._smallest = np.inf, 1.0
         self._iterations = self._factorisations = self._wasted = 0
 
-    def run(self, spacing: float, states: int, progress: Progress | None) -> Marching:
-        """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m]."""
+    def run(self, spacing: float, states: int, progress: Progress | None, longest: float) -> Marching:
+        """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m].
+
+        No step is longer than `longest` [m].
+        """
         problem, self._spacing = self.problem, spacing
         yield Request(1.0, solve=False)  # first touch
         self._settle()
         self._keep(states, progress)
-        largest = min(spacing, CAREFUL_STEP) if problem.held else spacing
-        step, easy, here = largest, 0, self._state(0.0)
+        step, easy, here = longest, 0, self._state(0.0)
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
             if not (yield from self._attempt(here, new)):
-                largest = min(spacing, CAREFUL_STEP)
-                step, easy, self.halved = min((new - here.approach) / 2, largest), 0, self.halved + 1
+                longest = min(longest, CAREFUL_STEP)
+                step, easy, self.halved = min((new - here.approach) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > MOST_WASTED:
                     return
                 continue
@@ -178,8 +185,8 @@ class _March:
             self._settle()
             self.approach, self.normal_force, self._previous, here = new, force, here, self._state(new)
             easy += 1
-            if easy >= 2 and step < largest:
-                step, easy = min(2 * step, largest), 0
+            if easy >= 2 and step < longest:
+                step, easy = min(2 * step, longest), 0
             if self.stopped or abs(new - target) < 1e-9 * spacing:
                 self._keep(states, progress)
         if self.press.hold_s and problem.memory is not None:

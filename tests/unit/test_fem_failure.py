@@ -198,6 +198,33 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, abs=quasistatic.OVERLAP_MM * MM)
 
 
+def test_a_later_try_marches_carefully_and_then_as_always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first march, in steps of CAREFUL_STEP, finds no second one; its second, from rest again, is that of a first try to the digit."""
+    scene = ball_scene(0.6, 3, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    run, solve, longest = quasistatic._March.run, Newton.solve, []  # pyright: ignore[reportPrivateUsage]
+
+    def told(march, spacing, states, progress, step):  # type: ignore[no-untyped-def]
+        longest.append(step)
+        return run(march, spacing, states, progress, step)
+
+    def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
+        report = solve(newton, reach, tolerance, solving)
+        gone = solving and len(longest) == 1 and newton.solids.state()[0].min() * MM < -1.01 * quasistatic.CAREFUL_STEP
+        return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
+
+    monkeypatch.setattr(quasistatic._March, "run", told)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(Newton, "solve", astray)
+    problem = problem_of(scene, gel, rigid_body(scene, gel))
+    problem.held = 1.0
+    press = run_press(problem)
+    assert longest == [quasistatic.CAREFUL_STEP, pytest.approx(0.3e-3)]
+    assert press.status is SolveStatus.CONVERGED and press.info["ended_by"] == PressEnd.DEPTH
+    assert press.force == pytest.approx(expected.force, rel=1e-9, abs=1e-9)
+    assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
+
+
 def test_of_two_tries_the_better_is_kept() -> None:
     """One that reached its end; of two that did not one that counts as converged; of two such the one that got farther."""
     scene = ball_scene(0.3, 2, radius_mm=5.0)
