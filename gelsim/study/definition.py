@@ -157,8 +157,8 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     ranged = any(isinstance(values, Mapping) for values in axes.values())
     cases = table.get("cases", 0)
     if type(cases) is not int or cases < 0 or ranged != bool(cases):
-        need = "how many points of the ranges to take" if ranged else "is for ranges, and no field has one"
-        raise SceneError(f"{where}: cases = {cases!r}: {need}")
+        need = "expected how many points of the ranges to take" if ranged else "it is for ranges, and no field has one"
+        raise SceneError(f"{where}: cases = {table.get('cases')!r}: {need}")
     base: Any = table.get("scene", {})
     if isinstance(base, str):
         base = read_layer(path.parent / base)

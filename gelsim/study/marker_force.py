@@ -93,7 +93,7 @@ def marker_forces(trial: Trial) -> MarkerForces:
     """Fits and judges.
 
     Raises:
-        SceneError: No depth, or too few markers for triangles.
+        SceneError: No depth, too few markers for triangles, or a gel too small for the rings.
         SolveError: One of the presses failed.
     """
     fitted, judged = (_samples(trial, presses, draw) for draw, presses in enumerate((FITTED, JUDGED)))
@@ -138,9 +138,18 @@ def marker_cost(trial: Trial) -> MarkerCost:
         rim = np.fft.fft(height[:, -1])
         filled = np.fft.ifft(rim[:, None] * share[:, None] ** harmonic).real
         squares += float((((filled - height[:, :-1]) ** 2).mean(axis=2) * share).mean(axis=1) @ (2 * np.pi * radii**2))
-    # Cells at the rim are open: the median is that of a whole one.
-    hidden = float((np.pi * layout.radii**2).mean() / np.median(cells(layout.centres))) if len(layout.radii) else 0.0
+    hidden = float((np.pi * layout.radii**2).mean() / np.median(_whole_cells(layout.centres))) if len(layout.radii) else 0.0
     return MarkerCost(hidden, float(np.sqrt(squares / area)))
+
+
+def _whole_cells(points: Array) -> Array:
+    """`cells` of the points that lie within the outermost: on a small gel most cells are open; of all where none does."""
+    from scipy.spatial import KDTree
+
+    half = np.median(KDTree(points).query(points, k=2)[0][:, 1]) / 2
+    inside = ((points > points.min(axis=0) + half) & (points < points.max(axis=0) - half)).all(axis=1)
+    area = cells(points)
+    return area[inside] if inside.any() else area
 
 
 def cells(points: Array) -> Array:
@@ -218,7 +227,13 @@ def _samples(
     trial: Trial, presses: Sequence[tuple[float, float]], draw: int
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
     """Of the normal and of the shear force, for N states and places: integrals (N, rings), their noise (N, rings, rings), force (N,)."""
-    layout = marker_layout(trial.scene)
+    layout, needed = marker_layout(trial.scene), 2 * (RINGS[-1] + SHIFT) / MM
+    if min(trial.scene.gel.size_mm) < needed:
+        size = " x ".join(f"{side:g}" for side in trial.scene.gel.size_mm)
+        raise SceneError(
+            f"gel.size_mm = {size} mm: forces are read from markers up to {(RINGS[-1] + SHIFT) / MM:g} mm from the gel's middle; "
+            f"allowed are sides of {needed:g} mm and more"
+        )
     area, noise = cells(layout.centres), marker_noise(trial.scene)
     normal: list[tuple[Array, Array, float]] = []
     shear: list[tuple[Array, Array, float]] = []

@@ -54,6 +54,10 @@ def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, f
     """
     if workers < 1:
         raise SceneError(f"--workers {workers}: allowed is 1 or more")
+    if quick and not study.quick:
+        raise SceneError(
+            f"--quick: study {study.name} has no small form; in a study of your own, fewer values and scene.fidelity = 'fast' make one"
+        )
     if quick:
         study = dataclasses.replace(study, **study.quick)
     cases = [case_of(study, point, device) for point in study.points()]

@@ -85,6 +85,15 @@ def test_markers_hide_what_they_cover() -> None:
     assert cost.fill_error == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.usefixtures("smooth")
+def test_few_markers_hide_as_much_each() -> None:
+    """Of 7 x 6 on a small gel 22 lie at the rim, with open cells; the others have a whole square of the pitch."""
+    small = trial(pitch_mm=1.6, radius_mm=0.15).beside({"gel.size_mm": [12.0, 10.0], "camera.field_mm": [9.6, 7.2]})
+    assert marker_cost(small).hidden == pytest.approx(np.pi * 0.15**2 / 1.6**2, rel=1e-6)
+    with pytest.raises(SceneError, match="gel.size_mm = 12 x 10 mm: .* allowed are sides of 13.8 mm and more"):
+        marker_forces(small)
+
+
 def test_a_press_needs_a_depth() -> None:
     with pytest.raises(SceneError, match="press.depth_mm is none"):
         marker_forces(Trial(({"press": {"depth_mm": "none"}, "object": {"rigid": True}},)))

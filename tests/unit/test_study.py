@@ -83,11 +83,11 @@ def test_a_latin_hypercube_meets_every_slice_once_at_each_point_of_the_grid() ->
         (("question", "qestion"), "unknown key 'qestion'; did you mean 'question'"),
         (('"letters"', '"force"'), "'force' is none; did you mean 'force_n'"),
         (('"gel.shore_00" = [10', '"gel.shore" = [10'), "fields.'gel.shore'"),
-        (("[10, 17, 30]", "{uniform = [10, 30]}"), "cases = 0: how many points"),
+        (("[10, 17, 30]", "{uniform = [10, 30]}"), "cases = None: expected how many points"),
         (("[10, 17, 30]", "{uniform = [10, 30], high = 3}"), "a range"),
         (("[5, 8]", "[5, 80]"), "allowed for object.radius_mm is 0.5 … 50 mm"),
         (('x = "gel.shore_00"', 'x = "gel.shore_a"'), "allowed are the fields gel.shore_00, object.radius_mm"),
-        (('x = "gel.shore_00"', "cases = 3"), "cases = 3: is for ranges"),
+        (('x = "gel.shore_00"', "cases = 3"), "cases = 3: it is for ranges"),
     ],
 )
 def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, letters: list[float], change: tuple[str, str], said: str) -> None:
@@ -104,6 +104,14 @@ def test_unknown_studies_name_the_known() -> None:
         load_study("gel-hardnes")
     with pytest.raises(SceneError, match="cannot be read"):
         load_study("nowhere.toml")
+
+
+def test_a_study_without_a_small_form_says_so(tmp_path: Path, letters: list[float]) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(OWN)
+    with pytest.raises(SceneError, match="--quick: study own has no small form"):
+        runner.run(load_study(str(path)), tmp_path / "out", quick=True)
+    assert not (tmp_path / "out").exists() and letters == []
 
 
 def test_failures_are_listed_and_resume_measures_only_them(
