@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import ast
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import Any, NoReturn
 from gelsim.errors import GelsimError, SceneError
 from gelsim.fields import nearest
 
+TOLD_EVERY = 60.0
+"""Seconds between the lines that say how far long work is where no terminal shows a bar."""
 BAR = "{desc:<22} {bar:30} {n_fmt}/{total_fmt} {elapsed}<{remaining} {rate_inv_fmt}"
 
 
@@ -66,10 +69,26 @@ def field_docs(module: ModuleType) -> dict[str, dict[str, str]]:
     return docs
 
 
+def _lines() -> Callable[[str, int, int], None]:
+    """Says how far a stage is, at most every TOLD_EVERY seconds: a log of a short run stays empty."""
+    told = time.monotonic()
+
+    def say(stage: str, done: int, total: int) -> None:
+        nonlocal told
+        if time.monotonic() - told >= TOLD_EVERY:
+            told = time.monotonic()
+            print(f"{stage}: {done} of {total}", file=sys.stderr, flush=True)
+
+    return say
+
+
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None] | None]:
-    """A bar on stderr for each stage; None when nobody looks at a terminal."""
-    if not (sys.stdout.isatty() and sys.stderr.isatty()):
+    """A bar on stderr for each stage; a line a minute where that is a file, and nothing where only stdout is one."""
+    if not sys.stderr.isatty():
+        yield _lines()
+        return
+    if not sys.stdout.isatty():
         yield None
         return
     from tqdm import tqdm

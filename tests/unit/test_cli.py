@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gelsim import cli, pipeline
+from gelsim import cli, console, pipeline
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.fields import field_types
 from gelsim.flags import Parser, add_scene_flags, layer_of
@@ -199,3 +199,14 @@ def test_render_writes_everything(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert report == json.loads((tmp_path / "a/report.json").read_text())
     assert report["choices"]["variant"] and report["final"]["normal_force_n"] > 0
     assert cli.main(["inspect", "a", "--out", "a.png"]) == cli.OK
+
+
+def test_a_log_says_how_far_long_work_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where no terminal shows a bar: nothing of a short run, then a line a minute."""
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress_bars() as progress:
+        assert progress is not None
+        for now[0] in (0.0, 59.0, 61.0, 62.0, 130.0):
+            progress("press", int(now[0]), 200)
+    assert capsys.readouterr() == ("", "press: 61 of 200\npress: 130 of 200\n")
