@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,10 @@ def nested(point: Mapping[str, Any]) -> Layer:
     return layer
 
 
+SAME = 1e-3
+"""Relative difference of two values that an answer takes for one."""
+
+
 def plain_answer(rows: Sequence[Row], study: Study) -> str:
     """Where the first metric is largest and smallest: all that can be said without knowing the question."""
     name = study.metrics[0]
@@ -52,8 +57,13 @@ def plain_answer(rows: Sequence[Row], study: Study) -> str:
         return "No case gave a number."
 
     def said(row: Row) -> str:
-        return f"{row[name]:.4g} at " + ", ".join(f"{axis} {shown(row[axis])}" for axis in study.axes)
+        """The value, and the axes on which it is had at one place alone: of the others it says nothing."""
+        tied = [other for other in known if math.isclose(other[name], row[name], rel_tol=SAME)]
+        places = [f"{axis} {shown(row[axis])}" for axis in study.axes if len({shown(other[axis]) for other in tied}) == 1]
+        return f"{row[name]:.4g}" + (f" at {', '.join(places)}" if places else "")
 
+    if len(known) > 1 and math.isclose(known[0][name], known[-1][name], rel_tol=SAME):
+        return f"{METRICS[name].label}: {known[0][name]:.4g} in all cases."
     return f"{METRICS[name].label}: least, {said(known[0])}; most, {said(known[-1])}."
 
 

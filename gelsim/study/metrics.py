@@ -24,7 +24,9 @@ class Metric:
 METRICS: dict[str, Metric] = {}
 
 
-def _metric(name: str, label: str) -> Callable[[Callable[[Trial], float]], Callable[[Trial], float]]:
+def metric(name: str, label: str) -> Callable[[Callable[[Trial], float]], Callable[[Trial], float]]:
+    """Decorates a function that measures a trial: studies know it by `name`, plots by `label`, what it is with its unit."""
+
     def keep(measure: Callable[[Trial], float]) -> Callable[[Trial], float]:
         METRICS[name] = Metric(label, measure)
         return measure
@@ -35,48 +37,48 @@ def _metric(name: str, label: str) -> Callable[[Callable[[Trial], float]], Calla
 # ---- mechanics: of the last recorded state ----
 
 
-@_metric("force_n", "normal force [N]")
+@metric("force_n", "normal force [N]")
 def _force(trial: Trial) -> float:
     return float(trial.force[-1])
 
 
-@_metric("approach_mm", "approach [mm]")
+@metric("approach_mm", "approach [mm]")
 def _approach(trial: Trial) -> float:
     return float(trial.press.approach[-1] / MM)
 
 
-@_metric("contact_area_mm2", "contact area [mm²]")
+@metric("contact_area_mm2", "contact area [mm²]")
 def _area(trial: Trial) -> float:
     return float(trial.press.contact_area[-1] / MM**2)
 
 
-@_metric("peak_pressure_kpa", "peak pressure [kPa]")
+@metric("peak_pressure_kpa", "peak pressure [kPa]")
 def _pressure(trial: Trial) -> float:
     return float(trial.press.contact_pressure[-1].max() / KPA)
 
 
-@_metric("dent_depth_mm", "depth of the dent [mm]")
+@metric("dent_depth_mm", "depth of the dent [mm]")
 def _dent_depth(trial: Trial) -> float:
     from gelsim.study.dent import measure_dent
 
     return trial.once(measure_dent).depth / MM
 
 
-@_metric("dent_width_mm", "width of the dent at half depth [mm]")
+@metric("dent_width_mm", "width of the dent at half depth [mm]")
 def _dent_width(trial: Trial) -> float:
     from gelsim.study.dent import measure_dent
 
     return trial.once(measure_dent).width / MM
 
 
-@_metric("dent_reach_mm", "reach of the dent beyond the contact [mm]")
+@metric("dent_reach_mm", "reach of the dent beyond the contact [mm]")
 def _dent_reach(trial: Trial) -> float:
     from gelsim.study.dent import measure_dent
 
     return trial.once(measure_dent).reach / MM
 
 
-@_metric("marker_motion_um", "largest sideways motion of the surface [µm]")
+@metric("marker_motion_um", "largest sideways motion of the surface [µm]")
 def _marker_motion(trial: Trial) -> float:
     from gelsim.study.dent import measure_dent
 
@@ -109,28 +111,28 @@ for _signal in ("slope", "picture"):
 # ---- photometric stereo (study.photometric) ----
 
 
-@_metric("normal_error_deg", "error of recovered normals, mean [°]")
+@metric("normal_error_deg", "error of recovered normals, mean [°]")
 def _normal_error(trial: Trial) -> float:
     from gelsim.study.photometric import reconstruct
 
     return trial.once(reconstruct).normal_error_deg
 
 
-@_metric("steep_normal_error_deg", "error of normals above 30°, mean [°]")
+@metric("steep_normal_error_deg", "error of normals above 30°, mean [°]")
 def _steep_normal_error(trial: Trial) -> float:
     from gelsim.study.photometric import reconstruct
 
     return trial.once(reconstruct).steep_normal_error_deg
 
 
-@_metric("height_error_um", "error of recovered height, RMS [µm]")
+@metric("height_error_um", "error of recovered height, RMS [µm]")
 def _height_error(trial: Trial) -> float:
     from gelsim.study.photometric import reconstruct
 
     return trial.once(reconstruct).height_error_um
 
 
-@_metric("texture_signal_per_um", "pixel change per µm of texture / noise")
+@metric("texture_signal_per_um", "pixel change per µm of texture / noise")
 def _texture_signal(trial: Trial) -> float:
     from gelsim.study.texture import texture_signal
 
@@ -153,28 +155,28 @@ METRICS["smallest_dent_deep_um"] = Metric("smallest visible dent out of focus [�
 # ---- markers (study.marker_force) ----
 
 
-@_metric("marker_normal_error_pct", "error of normal force from markers, RMS [%]")
+@metric("marker_normal_error_pct", "error of normal force from markers, RMS [%]")
 def _marker_normal(trial: Trial) -> float:
     from gelsim.study.marker_force import marker_forces
 
     return 100 * trial.once(marker_forces).normal_error
 
 
-@_metric("marker_shear_error_pct", "error of shear force from markers, RMS [%]")
+@metric("marker_shear_error_pct", "error of shear force from markers, RMS [%]")
 def _marker_shear(trial: Trial) -> float:
     from gelsim.study.marker_force import marker_forces
 
     return 100 * trial.once(marker_forces).shear_error
 
 
-@_metric("marker_hidden_pct", "surface that markers hide [%]")
+@metric("marker_hidden_pct", "surface that markers hide [%]")
 def _marker_hidden(trial: Trial) -> float:
     from gelsim.study.marker_force import marker_cost
 
     return 100 * trial.once(marker_cost).hidden
 
 
-@_metric("marker_fill_error_um", "error of height filled in below markers, RMS [µm]")
+@metric("marker_fill_error_um", "error of height filled in below markers, RMS [µm]")
 def _marker_fill(trial: Trial) -> float:
     from gelsim.study.marker_force import marker_cost
 

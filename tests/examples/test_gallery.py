@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import runpy
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -74,3 +77,17 @@ def test_shear_markers(repository: Path, tmp_path: Path) -> None:
 def test_sensors(repository: Path, tmp_path: Path) -> None:
     (force,) = quick(repository, "sensors", tmp_path / "a.jpg").values()
     assert force > 0
+
+
+def test_the_study_in_python_runs_as_the_docs_have_it(repository: Path, tmp_path: Path) -> None:
+    """In processes of its own, which learn its metric by reading the file again."""
+    text = (repository / "docs" / "extending.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)\n```", text[: text.index("## A shape")], re.DOTALL)
+    (tmp_path / "own.py").write_text(code)
+    done = subprocess.run([sys.executable, "own.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "out" / "own" / "study.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    # Hertz: the peak is 3/2 of the mean; thin gel and finite dents raise it.
+    assert len(rows) == 4 and all(1.3 < float(row["pressure_ratio"]) < 2.5 for row in rows)
+    assert "peak pressure over mean pressure: least," in done.stdout and (tmp_path / "out" / "own" / "index.html").exists()

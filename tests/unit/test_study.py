@@ -133,6 +133,17 @@ def test_failures_are_listed_and_resume_measures_only_them(
     assert cli.main(["study", str(path), "--out", str(out), "--resume"]) == 0 and len(letters) == 13
 
 
+def test_a_plain_answer_names_the_axes_that_matter() -> None:
+    study = Study("own", "?", {"gel.thickness_mm": [1, 2], "markers.pitch_mm": [1, 2]}, ("force_n",), "gel.thickness_mm")
+    rows = [{"gel.thickness_mm": t, "markers.pitch_mm": p, "force_n": 2.0 / t + 1e-5 * p} for t in (1, 2) for p in (1, 2)]
+    assert study.answer(rows, study) == "normal force [N]: least, 1 at gel.thickness_mm 2; most, 2 at gel.thickness_mm 1."
+    assert study.answer(rows[:2], study) == "normal force [N]: 2 in all cases."
+    assert (
+        study.answer(rows[:1], study)
+        == "normal force [N]: least, 2 at gel.thickness_mm 1, markers.pitch_mm 1; most, 2 at gel.thickness_mm 1, markers.pitch_mm 1."
+    )
+
+
 def test_the_page_holds_all_and_needs_nothing(tmp_path: Path, letters: list[float]) -> None:
     path, out = tmp_path / "own.toml", tmp_path / "out"
     path.write_text(OWN.replace("stiffer gel", "<b>stiffer</b> gel"))
