@@ -60,9 +60,9 @@ def draw_sheet(path: Path, scene: Scene, deformation: Deformation, frames: list[
         force = abs(deformation.force[index, 2])
         axes.set_title(f"{deformation.approach[index] / MM:.2f} mm   {force:.2f} N", fontsize=10, color=INK, pad=3)
     below, high = top + 3.1, PANEL_ASPECT * 3.3
-    heights = place(0.65, below, 3.1, high)
-    draw_height(heights, place(3.8, below, 0.1, high), scene, frames)
-    draw_force(place(5.0, below, 2.7, high), deformation)
+    heights = place(0.65, below, 2.95, high)
+    draw_height(heights, place(3.65, below, 0.1, high), scene, frames)
+    draw_force(place(5.1, below, 2.6, high), deformation)
     draw_section(place(8.75, below, 3.3, high), scene, deformation)
     draw_meshes(place(12.4, below, 3.3, high), scene, deformation)
     figure.savefig(path, format="png")
