@@ -49,7 +49,11 @@ def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel() -> None:
 
 @pytest.mark.slow
 def test_it_reads_flats_of_hardnesses_that_it_never_saw(tmp_path: Path) -> None:
-    """19 and 77 were held out of training. Each within three of the row's errors; planted: either for the other is 58 off."""
+    """19 and 77 were held out of training. Each within three of the row's errors; planted: either for the other is 58 off.
+
+    At `balanced`, over four meshes, they are 0.71 to 0.78 of the distance that is called strange. At `fast` eight meshes had 0.67 to 0.73
+    and a ninth 1.01: the soft flat's few faces there left lumps of 15 µm in the middle of the gel.
+    """
     said = {}
     for hardness in (19, 77):
         out = tmp_path / str(hardness)
@@ -60,8 +64,6 @@ def test_it_reads_flats_of_hardnesses_that_it_never_saw(tmp_path: Path) -> None:
             str(hardness),
             "--depth-mm",
             "1.6",
-            "--fidelity",
-            "fast",
             "--spp",
             "4",
             "--resolution",
