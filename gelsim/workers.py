@@ -11,6 +11,7 @@ between them, for PATIENCE. And workers that stand still, all at once (processes
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import threading
@@ -28,9 +29,12 @@ SECONDS = 1800.0
 """Allowed for a handful."""
 STARTS, PATIENCE, PAUSE = 3, 30.0, 1.0
 """Workers that may end before they did anything, one after the other; more of them only within so many seconds, with a pause after each."""
-STILL = 180.0
-"""Seconds without an answer from any of many workers, after which they count as standing still. For fewer than SECONDS / STILL busy ones it
-is SECONDS over their number: two slow pieces are no standstill."""
+STILL = 90.0
+"""Seconds without an answer from any of many workers, after which they count as standing still; twice that before the first answer, as
+kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECONDS over their number: two slow pieces are no standstill."""
+
+MPS_SHARE = "CUDA_MPS_ACTIVE_THREAD_PERCENTAGE"
+"""Per cent of a GPU's multiprocessors that a client of MPS may use; without MPS it does nothing."""
 
 Handful = tuple[int, ...]
 """Numbers of pieces of work."""
@@ -80,14 +84,19 @@ class LocalCrew:
 
     Args:
         threads: Of each. What is computed may depend on it in the last digits, so it does not follow from `count`.
-        gpus: CUDA devices; each worker sees one of them.
+        gpus: CUDA devices; each worker sees one of them, and under NVIDIA's MPS has its share of the multiprocessors and no more, unless
+            the caller's environment says another: kernels whose blocks wait for each other (cuDSS) stand still for ever where those of
+            several processes each hold a part of the GPU and wait for more.
     """
 
     def __init__(self, count: int, threads: int = 1, gpus: Sequence[str] = ()) -> None:
         self.count, self.threads, self.gpus = count, threads, gpus
 
     def start(self, number: int, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> _Process:
-        gpu = {"CUDA_VISIBLE_DEVICES": self.gpus[number % len(self.gpus)]} if self.gpus else {}
+        gpu = {}
+        if self.gpus:
+            share = max(100 // math.ceil(self.count / len(self.gpus)), 1)
+            gpu = {"CUDA_VISIBLE_DEVICES": self.gpus[number % len(self.gpus)], MPS_SHARE: os.environ.get(MPS_SHARE, str(share))}
         return _Process(make, arguments, settings(self.threads) | gpu)
 
     def ready(self, workers: Sequence[_Process], timeout: float) -> list[_Process]:
@@ -157,7 +166,7 @@ def work_through(
     left = deque(handfuls)
     places = [_Place(crew.start(number, make, arguments)) for number in range(min(crew.count, len(left)))]
     still_born, second = 0, set[Handful]()
-    answered = time.monotonic()
+    answered, begun = time.monotonic(), False
     try:
         for place in places:
             place.give(left.popleft())
@@ -165,9 +174,9 @@ def work_through(
             ready = crew.ready([place.worker for place in busy], timeout=1.0)
             now = time.monotonic()
             quiet = 0.0 if ready else now - answered
-            stand_still = still and quiet > max(STILL, SECONDS / len(busy))
+            stand_still = still and quiet > max(STILL, SECONDS / len(busy)) * (1 if begun else 2)
             if stand_still:
-                answered = now
+                answered, begun = now, False
                 for place in busy:  # all of them before the first begins anew: what they share is free then
                     place.worker.end()
             for number, place in enumerate(places):
@@ -181,7 +190,7 @@ def work_through(
                         trouble, innocent = ("DIED", str(died)), not place.worked
                     else:
                         still_born, place.worked, place.handful = 0, True, None
-                        answered = time.monotonic()
+                        answered, begun = time.monotonic(), True
                         yield done
                 elif stand_still:
                     trouble, innocent = ("TIMEOUT", f"no worker answered for {quiet:.0f} s"), True

@@ -113,7 +113,7 @@ def make_counting(*_: object):
 
 
 def make_seeing(*_: object):
-    return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"]}, {})])
+    return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"], "share": os.environ[workers.MPS_SHARE]}, {})])
 
 
 def make_still_born(*_: object):
@@ -159,9 +159,13 @@ def test_a_worker_has_the_threads_that_it_was_given(threads: int):
     assert dict(os.environ) == before
 
 
-def test_gpus_are_given_in_turn():
-    done = work_through([(number,) for number in range(3)], LocalCrew(3, gpus=("0", "7")), make_seeing, (), lost)
-    assert {item.rows[0][0]["sees"] for item in done} <= {"0", "7"}
+@pytest.mark.parametrize(("said", "share"), [(None, "50"), ("25", "25")])
+def test_gpus_are_given_in_turn_and_shared(said: str | None, share: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv(workers.MPS_SHARE, raising=False)
+    if said:
+        monkeypatch.setenv(workers.MPS_SHARE, said)
+    done = [item.rows[0][0] for item in work_through([(n,) for n in range(3)], LocalCrew(3, gpus=("0", "7")), make_seeing, (), lost)]
+    assert {item["sees"] for item in done} <= {"0", "7"} and {item["share"] for item in done} == {share}
 
 
 def test_workers_that_never_begin_end_the_run(monkeypatch: pytest.MonkeyPatch):
