@@ -7,6 +7,8 @@ with its unit, and what is allowed. How a solve ended is a value (`SolveStatus`)
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class GelsimError(Exception):
@@ -19,6 +21,15 @@ class SceneError(GelsimError, ValueError):
 
 class MaterialError(GelsimError, ValueError):
     """A hardness or a modulus lies outside the range its relation is known for."""
+
+
+@contextmanager
+def within(where: str) -> Iterator[None]:
+    """Errors of scene and material raised inside say first where they stand: a file, or an item of a list."""
+    try:
+        yield
+    except (SceneError, MaterialError) as error:
+        raise type(error)(f"{where}: {error}") from None
 
 
 class MeshingError(GelsimError):

@@ -12,7 +12,7 @@ import math
 import types
 import typing
 
-from gelsim.errors import SceneError
+from gelsim.errors import SceneError, within
 
 
 @functools.cache
@@ -60,6 +60,8 @@ def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
         if not isinstance(value, (list, tuple)) or (not repeated and len(value) != len(inner)):
             raise SceneError(f"{name} = {value!r}: expected a list" + ("" if repeated else f" of {len(inner)} values"))
         kinds = [inner[0]] * len(value) if repeated else inner
+        if dataclasses.is_dataclass(inner[0]):
+            return tuple(_item(value, index, inner[0], name) for index in range(len(value)))
         return tuple(convert(item, kind, name) for item, kind in zip(value, kinds, strict=True))
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         if not math.isfinite(value):
@@ -70,6 +72,18 @@ def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
         words = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
         raise SceneError(f"{name} = {value!r}: expected {words[hint]}")
     return value
+
+
+def _item(items: typing.Sequence[typing.Any], index: int, hint: typing.Any, name: str) -> typing.Any:
+    with within(which(items, index)):
+        return convert(items[index], hint, name)
+
+
+def which(lights: typing.Sequence[typing.Any], index: int) -> str:
+    """Which of the lights, tables or dataclasses, for messages: "light 2 of 4, 'green'"."""
+    light = lights[index]
+    name = light.get("name") if isinstance(light, dict) else getattr(light, "name", None)
+    return f"light {index + 1} of {len(lights)}" + (f", {name!r}" if isinstance(name, str) else "")
 
 
 def known_key(key: str, section: type, name: str) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 from gelsim import materials
-from gelsim.errors import SceneError
-from gelsim.fields import nearest
+from gelsim.errors import SceneError, within
+from gelsim.fields import nearest, which
 from gelsim.units import MESH_UNITS, unit_of
 
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -99,7 +99,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lights.lights.position_mm": (-1000, 1000),
     "lights.lights.direction": (-1e6, 1e6),
     "lights.lights.size_mm": (0.01, 200),
-    "lights.lights.rgb": (0, 1e6),
+    # Light of flux 1 and of one wavelength is 5.9 (`optics.spectra`), a little more by `rgb_on_coat`; 255 is a colour on another scale.
+    "lights.lights.rgb": (0, 10),
     "lights.lights.power": (0, 1e9),
     "lights.lights.lobe": (1, 100),
     "lights.lights.peak_nm": (400, 700),
@@ -133,8 +134,9 @@ def check_limits(section: object, name: str = "") -> None:
         if dataclasses.is_dataclass(value):
             check_limits(value, full)
         elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
-            for part in value:
-                check_limits(part, full)
+            for index, part in enumerate(value):
+                with within(which(value, index)):
+                    check_limits(part, full)
         if full in CHOICES and value not in CHOICES[full]:
             raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{nearest(str(value), CHOICES[full])}")
         if full in LIMITS:

@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 from gelsim import materials
-from gelsim.errors import MaterialError, SceneError
-from gelsim.fields import convert, field_types, share
+from gelsim.errors import MaterialError, SceneError, within
+from gelsim.fields import convert, field_types, share, which
 from gelsim.limits import SHADING_DEGREES, WITH_PARTS, check_limits
 
 Vec2 = tuple[float, float]
@@ -251,7 +251,7 @@ class Light:
     size_mm: Vec2 = (1.0, 1.0)
     """Along the gel, and across."""
     rgb: Vec3 = (1.0, 1.0, 1.0)
-    """Colour as the camera sees it on a white surface (linear)."""
+    """Colour as the camera sees it on a white surface: linear, 0 to 10, not all 0; it multiplies power."""
     power: float = 1.0
     """Radiant flux of a channel whose rgb is 1 [mW; only ratios matter, camera.exposure sets the scale]."""
     lobe: float = 1.0
@@ -449,16 +449,9 @@ def _check_optics(scene: Scene) -> None:
     if shading and (shading % 3 or shading // 3 not in SHADING_DEGREES):
         allowed = ", ".join(str(3 * count) for count in SHADING_DEGREES)
         raise SceneError(f"camera.shading has {shading} numbers: red, green and blue of every term of a degree are {allowed}, or none")
-    for light in scene.lights.lights:
-        if (light.peak_nm is None) != (light.width_nm is None):
-            raise SceneError(f"lights.lights {light.name!r}: an LED's spectrum has a peak_nm and a width_nm; give both or neither")
-        if light.position_mm[2] >= 0:
-            raise SceneError(
-                f"lights.lights {light.name!r}: position_mm has z = {light.position_mm[2]:g} mm; "
-                "the gel's outer face is z = 0, lights stand below it"
-            )
-        if light.direction == (0.0, 0.0, 0.0):
-            raise SceneError(f"lights.lights {light.name!r}: direction = 0 0 0 points nowhere; give any other")
+    for index, light in enumerate(scene.lights.lights):
+        with within(which(scene.lights.lights, index)):
+            _check_light(light)
     inside = scene.lights.window_thickness_mm + scene.gel.thickness_mm
     if scene.camera.distance_mm <= inside:
         raise SceneError(
@@ -471,6 +464,22 @@ def _check_optics(scene: Scene) -> None:
             f"camera.distortion = {first:g} {second:g}: the picture would fold back within its corners; nearer to 0 is allowed"
         )
     _check_view(scene)
+
+
+def _check_light(light: Light) -> None:
+    if (light.peak_nm is None) != (light.width_nm is None):
+        given, missing = ("peak_nm", "width_nm") if light.width_nm is None else ("width_nm", "peak_nm")
+        raise SceneError(
+            f"lights.lights.{given} = {getattr(light, given):g} nm, but {missing} is missing: an LED has both; give both or neither"
+        )
+    if light.peak_nm is None and not any(light.rgb):
+        raise SceneError("lights.lights.rgb = 0 0 0 is no colour: give one above 0; a light that is off has power = 0")
+    if light.position_mm[2] >= 0:
+        raise SceneError(
+            f"lights.lights.position_mm has z = {light.position_mm[2]:g} mm; the gel's outer face is z = 0, lights stand below it"
+        )
+    if light.direction == (0.0, 0.0, 0.0):
+        raise SceneError("lights.lights.direction = 0 0 0 points nowhere; give any other")
 
 
 def _check_view(scene: Scene) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gelsim.errors import SceneError
+from gelsim.errors import MaterialError, SceneError, within
 from gelsim.fields import field_types, known_key, nearest
 from gelsim.scene import STIFFNESS, Grains, LawConstants, Scene, Sensor, Skin
 
@@ -58,13 +58,28 @@ def build_scene(*layers: Layer) -> Scene:
     for layer in layers:
         preset = layer.get("sensor", {}).get("preset", preset)
     merged: Layer = {}
-    for layer in (_preset_layer(preset), *layers):
+    below = _preset_layer(preset)
+    for layer in (below, *layers):
         for key, value in layer.items():
             if isinstance(value, dict):
                 merged[key] = _overlaid(merged.get(key, {}), value)
             else:
                 merged[key] = value
-    return Scene(**merged)
+    try:
+        return Scene(**merged)
+    except (SceneError, MaterialError) as error:
+        if str(error) == _error_of(below):
+            raise type(error)(f"{_preset_named(preset)}: {error}") from None
+        raise
+
+
+def _error_of(layer: Layer) -> str:
+    """What is wrong with a layer by itself, "" if nothing is."""
+    try:
+        Scene(**layer)
+    except (SceneError, MaterialError) as error:
+        return str(error)
+    return ""
 
 
 def _overlaid(below: Layer, above: Layer) -> Layer:
@@ -158,11 +173,14 @@ def _preset_layer(preset: object) -> Layer:
             known = preset_names()
             raise SceneError(f"sensor.preset = {preset!r}: known are {', '.join(known)}, or a path ending in .toml{nearest(preset, known)}")
     layer = read_toml(path, "sensor preset")
-    try:
+    with within(_preset_named(preset)):
         _check_layer(layer, PRESET_SECTIONS)
-    except SceneError as error:
-        raise SceneError(f"sensor preset {path.name}: {error}") from None
     return layer
+
+
+def _preset_named(preset: object) -> str:
+    """A shipped sensor or a sensor file in errors, as it was asked for."""
+    return f"sensor preset {preset!r}"
 
 
 _INSIDE = {"lights": "; each light is a [[lights.lights]]", "sensor": '; its field is preset = "NAME or FILE.toml"'}

@@ -153,14 +153,14 @@ def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) 
     for index, (name, flux) in enumerate(zip(light_names(parameters), parameters.colours, strict=True)):
         light = parameters.light(index)
         facing = model.facing(light)
-        power = max(float(flux.max()), 1e-9)
+        power = float(flux.max())
         lights.append(
             Light(
                 name=name,
                 position_mm=(float(light[0]), float(light[1]), float(light[2])),
                 direction=tuple(round(float(part), 9) for part in facing),  # type: ignore[arg-type]
                 size_mm=(float(light[5]), float(light[6])),
-                rgb=tuple(float(part) / power for part in flux),  # type: ignore[arg-type]
+                rgb=tuple(float(part) / power for part in flux) if power > 0 else (1.0, 1.0, 1.0),  # type: ignore[arg-type]
                 power=power,
             )
         )

@@ -15,7 +15,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SceneError
+from gelsim.errors import SceneError, within
+from gelsim.fields import which
 from gelsim.optics.camera import project
 from gelsim.optics.spectra import light_colour
 from gelsim.scene import Light, Scene
@@ -44,35 +45,42 @@ def light_radiance(light: Light) -> NDArray[np.float64]:
 
 def check_lights(scene: Scene) -> None:
     """Raises SceneError: no light at all; one beyond the coat, in the picture's way within the gel, or that lights nothing of the gel."""
+    sensor = f"sensor {scene.sensor.preset!r}: " if scene.sensor.preset.endswith(".toml") else ""
     if not scene.lights.lights:
-        raise SceneError("lights.lights is empty; a sensor preset (load_scene) fills it, or give at least one light")
+        raise SceneError(f"{sensor}lights.lights is empty; a sensor preset (load_scene) fills it, or give at least one light")
     gel = scene.gel
     half = np.array(gel.size_mm) / 2
     corners = np.array(list(itertools.product((-half[0], half[0]), (-half[1], half[1]), (-gel.thickness_mm, 0.0))))
-    for light in scene.lights.lights:
-        x, y, z = light.position_mm
-        where = f"lights.lights {light.name!r}: position_mm = {x:g} {y:g} {z:g} mm"
-        if abs(x) < half[0] and abs(y) < half[1]:
-            coat = float(gel_height(gel, np.array([[x, y]]) * 1e-3)[0] * 1e3)
-            if z >= coat:
-                raise SceneError(f"{where} is beyond the gel's coat, which is at z = {coat:.3g} mm there; lights stand below it")
-            seen = project(scene, np.array([light.position_mm]) * 1e-3)[0]
-            if z > -gel.thickness_mm and np.all((seen >= 0) & (seen < scene.render.resolution)):
-                raise SceneError(
-                    f"{where} is inside the gel and in the camera's view; allowed is below z = {-gel.thickness_mm:g} mm, "
-                    f"or beside camera.field_mm = {scene.camera.field_mm[0]:g} {scene.camera.field_mm[1]:g} mm"
-                )
-        pose = light_pose(light)
-        sources = pose[:3, 3] + [i * pose[:3, 0] + j * pose[:3, 1] for i in (-1, 1) for j in (-1, 1)]
-        faces = [(sources, pose[:3, 2])]
-        if mirrored_light(scene, light):
-            faces.append((sources * [1, 1, -1] + [0, 0, 2 * mirror_height(scene)], pose[:3, 2] * [1, 1, -1]))
-        if all(((corners[:, None] - places) @ facing).max() <= 0 for places, facing in faces):
-            dx, dy, dz = light.direction
+    for index, light in enumerate(scene.lights.lights):
+        with within(f"{sensor}{which(scene.lights.lights, index)}"):
+            _check_light(scene, light, corners)
+
+
+def _check_light(scene: Scene, light: Light, corners: NDArray[np.float64]) -> None:
+    gel, half = scene.gel, corners[-1, :2]
+    x, y, z = light.position_mm
+    where = f"lights.lights.position_mm = {x:g} {y:g} {z:g} mm"
+    if abs(x) < half[0] and abs(y) < half[1]:
+        coat = float(gel_height(gel, np.array([[x, y]]) * 1e-3)[0] * 1e3)
+        if z >= coat:
+            raise SceneError(f"{where} is beyond the gel's coat, which is at z = {coat:.3g} mm there; lights stand below it")
+        seen = project(scene, np.array([light.position_mm]) * 1e-3)[0]
+        if z > -gel.thickness_mm and np.all((seen >= 0) & (seen < scene.render.resolution)):
             raise SceneError(
-                f"{where} and direction = {dx:g} {dy:g} {dz:g}: it faces away from all of the gel; "
-                f"toward the gel's centre would be direction = {0 - x:g} {0 - y:g} {-gel.thickness_mm / 2 - z:g}"
+                f"{where} is inside the gel and in the camera's view; allowed is below z = {-gel.thickness_mm:g} mm, "
+                f"or beside camera.field_mm = {scene.camera.field_mm[0]:g} {scene.camera.field_mm[1]:g} mm"
             )
+    pose = light_pose(light)
+    sources = pose[:3, 3] + [i * pose[:3, 0] + j * pose[:3, 1] for i in (-1, 1) for j in (-1, 1)]
+    faces = [(sources, pose[:3, 2])]
+    if mirrored_light(scene, light):
+        faces.append((sources * [1, 1, -1] + [0, 0, 2 * mirror_height(scene)], pose[:3, 2] * [1, 1, -1]))
+    if all(((corners[:, None] - places) @ facing).max() <= 0 for places, facing in faces):
+        dx, dy, dz = light.direction
+        raise SceneError(
+            f"{where} and direction = {dx:g} {dy:g} {dz:g}: it faces away from all of the gel; "
+            f"toward the gel's centre would be direction = {0 - x:g} {0 - y:g} {-gel.thickness_mm / 2 - z:g}"
+        )
 
 
 def mirror_height(scene: Scene) -> float:

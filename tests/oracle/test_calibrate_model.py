@@ -135,6 +135,13 @@ def test_dents_between_the_solved_thicknesses():
     assert apart(families[0]) > 4e-3
 
 
+def test_a_veil_without_light_is_off():
+    chosen = parameters()
+    chosen.colours[-1] = 0
+    scene = to_scene(chosen, start_scene(), SIZE)
+    assert scene.lights.lights[-1].power == 0 and scene.lights.lights[0].power > 0
+
+
 def test_rays_are_the_camera_s(dents):
     chosen = parameters()
     scene = to_scene(chosen, start_scene(), SIZE)

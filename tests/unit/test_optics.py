@@ -324,7 +324,7 @@ DARK = {
     "faces down": (
         ("lamp", (30.0, 0.0, -9.0), (-1.0, 0.0, -8.0)),
         {},
-        "'lamp': position_mm = 30 0 -9 mm and direction = -1 0 -8: it faces away",
+        "light 1 of 1, 'lamp': lights.lights.position_mm = 30 0 -9 mm and direction = -1 0 -8: it faces away",
     ),
     "faces out": (("lamp", (30.0, 0.0, -9.0), (1.0, 0.0, 0.0)), {"window_reflection": True}, "direction = -30 0 7.8"),
     "in the gel": (
@@ -346,6 +346,15 @@ def test_lights_that_light_nothing_are_refused(name):
         with pytest.raises(SceneError) as caught:
             refuse()
         assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_light_that_lights_nothing_is_found_in_its_sensor_file(tmp_path):
+    lamps = ('name = "a"', 'name = "b"\nposition_mm = [30, 0, -9]\ndirection = [-1, 0, -8]')
+    (tmp_path / "mine.toml").write_text("".join(f"[[lights.lights]]\n{lamp}\n" for lamp in lamps), encoding="utf-8")
+    preset = str(tmp_path / "mine.toml")
+    with pytest.raises(SceneError) as caught:
+        check_lights(build_scene({"sensor": {"preset": preset}}))
+    assert str(caught.value).startswith(f"sensor {preset!r}: light 2 of 2, 'b': lights.lights.position_mm = 30 0 -9 mm and direction")
 
 
 def test_odd_lights_that_light_the_gel_are_drawn():

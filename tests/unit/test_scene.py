@@ -132,8 +132,14 @@ BAD = {
     "preset": ('[sensor]\npreset = "fingertip2018"', "did you mean 'fingertip2017'"),
     "infinite light": ("[[lights.lights]]\npower = inf", "lights.lights.power = inf: expected a finite number"),
     "far light": ("[[lights.lights]]\nposition_mm = [0, 0, -1e9]", "lights.lights.position_mm = 0 0 -1e+09 mm: allowed is -1000"),
-    "light outside": ('[[lights.lights]]\nname = "top"\nposition_mm = [0, 0, 3]', "lights.lights 'top': position_mm has z = 3 mm"),
-    "light without direction": ("[[lights.lights]]\ndirection = [0, 0, 0]", "lights.lights 'light': direction = 0 0 0 points nowhere"),
+    "colour of 8 bits": ("[[lights.lights]]\nrgb = [255, 13, 5]", "lights.lights.rgb = 255 13 5: allowed is 0 … 10"),
+    "negative colour": ("[[lights.lights]]\nrgb = [1, -0.1, 0]", "lights.lights.rgb = 1 -0.1 0: allowed is 0 … 10"),
+    "black light": ("[[lights.lights]]\nrgb = [0, 0, 0]", "lights.lights.rgb = 0 0 0 is no colour: give one above 0; a light that is off"),
+    "light outside": (
+        '[[lights.lights]]\nname = "top"\nposition_mm = [0, 0, 3]',
+        "light 1 of 1, 'top': lights.lights.position_mm has z = 3 mm",
+    ),
+    "light without direction": ("[[lights.lights]]\ndirection = [0, 0, 0]", "lights.lights.direction = 0 0 0 points nowhere"),
     "camera in the window": ("[camera]\ndistance_mm = 5", "camera.distance_mm = 5 mm: the camera stands behind window and gel"),
     "law": ('[object]\nlaw = "neohookean"', "did you mean 'neo-hookean'"),
     "law without constants": ('[object]\nlaw = "yeoh"', "object.law_constants.c2_over_c1 is missing"),
@@ -218,6 +224,48 @@ def test_wrong_scene_is_one_clear_line(name: str) -> None:
         build_scene(tomllib.loads(text))
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+WRONG_SENSOR = {
+    "unit": ("[camera]\ndistance_mm = 5000", "camera.distance_mm = 5000 mm: allowed is 1 … 1000 mm"),
+    "contradiction": (
+        "[camera]\ndistance_mm = 5",
+        "camera.distance_mm = 5 mm: the camera stands behind window and gel, so it must exceed 6.4 mm",
+    ),
+    "hardness": ("[gel]\nshore_00 = 130", "gel.shore_00: Shore 00 reading 130: allowed is 1 … 99"),
+    "section": ("[object]\nradius_mm = 3", "'object' does not belong in a sensor preset: it fills gel, camera, lights, coating, markers"),
+    "key": ("[camera]\ndistance = 5", "unknown key 'camera.distance'; did you mean 'distance_mm'?"),
+    "type in the second light": (
+        '[[lights.lights]]\nname = "a"\n[[lights.lights]]\nname = "b"\npower = "much"',
+        "light 2 of 2, 'b': lights.lights.power = 'much': expected a number",
+    ),
+    "key in a light without a name": (
+        "[[lights.lights]]\n[[lights.lights]]\n[[lights.lights]]\nrbg = [1, 0, 0]",
+        "light 3 of 3: unknown key 'lights.lights.rbg'; did you mean 'rgb'?",
+    ),
+    "colour of the first light": (
+        '[[lights.lights]]\nname = "a"\nrgb = [13, 255, 13]\n[[lights.lights]]\nname = "b"',
+        "light 1 of 2, 'a': lights.lights.rgb = 13 255 13: allowed is 0 … 10",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_SENSOR)
+def test_an_error_in_a_sensor_file_names_it_and_the_light(name: str, tmp_path: Path) -> None:
+    text, expected = WRONG_SENSOR[name]
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    preset = str(tmp_path / "mine.toml")
+    with pytest.raises((SceneError, MaterialError)) as caught:
+        build_scene({"sensor": {"preset": preset}})
+    assert str(caught.value) == f"sensor preset {preset!r}: {expected}"
+
+
+def test_what_a_scene_gets_wrong_is_not_blamed_on_its_sensor(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("[camera]\ndistance_mm = 5\n", encoding="utf-8")
+    sensor = {"preset": str(tmp_path / "mine.toml")}
+    assert build_scene({"sensor": sensor, "camera": {"distance_mm": 30}}).camera.distance_mm == 30
+    with pytest.raises(SceneError, match="^camera.distance_mm = 6 mm"):
+        build_scene({"sensor": sensor, "camera": {"distance_mm": 6}})
 
 
 def test_unreadable_files_are_scene_errors(tmp_path: Path) -> None:
