@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 from gelsim.cli import main
 from gelsim.membrane import rest_membrane
 from gelsim.optics import render_frames
+from gelsim.scene import Light, Lights
 from gelsim.scene_file import build_scene, preset_names
+from gelsim.sensor_sheet import _draw_plan
 
 SHIPPED = ("digit", "fingertip2017", "gelsight_mini")
 
@@ -50,6 +55,21 @@ def test_inspect_draws_a_sensor(tmp_path, capsys):
     assert facts["kind"] == "sensor" and "25.25 x 20.75 x 4.25 mm" in facts["gel"] and facts["drawing"] == str(out)
     with Image.open(out) as drawing:
         assert drawing.size[0] > 800
+
+
+def test_names_of_lamps_beside_each_other_do_not_overlap():
+    strip = tuple(Light(f"lamp number {i}", (14.0 + 0.3 * (i % 2), 0.5 * i, -6.0), (-1.0, 0.0, 0.5)) for i in range(6))
+    scenes = [build_scene({"sensor": {"preset": name}}) for name in preset_names()]
+    for scene in (*scenes, scenes[0].replace(lights=Lights(strip))):
+        figure = Figure(figsize=(3.7, 3.9), dpi=90, layout="constrained")
+        axes = figure.subplots()
+        _draw_plan(axes, scene)
+        figure.draw_without_rendering()
+        named = {text.get_text(): Text.get_window_extent(text) for text in axes.texts}
+        frame = axes.get_window_extent()
+        assert set(named) == {light.name for light in scene.lights.lights if light.name != "veil"}
+        assert not [pair for pair in itertools.combinations(named, 2) if named[pair[0]].overlaps(named[pair[1]])]
+        assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1 for box in named.values())
 
 
 def test_inspect_wants_one_thing(capsys):
