@@ -15,6 +15,8 @@ from gelsim.fem.self_contact import closing_gap
 from gelsim.fem.touching import touching_area
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
+from gelsim.scene import Gel
+from gelsim.shapes import gel_height
 
 Array = NDArray[np.float64]
 HOLLOW = ("tube", "shell", "mesh")
@@ -63,7 +65,7 @@ class Recorder:
         jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
         kink = self._kink(everything[-1])
         hollow = problem.object_material is not None and problem.scene.object.shape in HOLLOW
-        told = _self_contact(object_motion) if hollow else []
+        told = [*(_self_contact(object_motion) if hollow else []), *_beyond_border(problem.scene.gel, object_motion)]
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
             numbers[name] = numbers[name].astype(np.int32)
@@ -123,6 +125,23 @@ def _self_contact(surface: SurfaceMotion) -> list[str]:
         return []
     state, gap = found
     return [f"the object comes to touch itself, which is not modelled: {gap * MM:.2g} mm left in state {state}, maybe overrun later"]
+
+
+def _beyond_border(gel: Gel, surface: SurfaceMotion) -> list[str]:
+    """A note where the object, at the height of the gel's face or below, ends beyond the gel."""
+    half = np.array(gel.size_mm) / 2 / MM
+    moved = surface.displacement[-1]
+    # On average, as what ends flush with the gel bulges beyond it.
+    place = surface.rest[:, :2] + moved[:, :2].mean(axis=0)
+    nearest = np.clip(place, -half, half)
+    low = surface.rest[:, 2] + moved[:, 2] < gel_height(gel, nearest)
+    reach = np.abs(place - nearest).max(axis=1)[low].max(initial=0.0)
+    if reach <= 0.1 * gel.thickness_mm / MM:
+        return []
+    return [
+        f"the object goes {reach * MM:.2g} mm beyond the border of the gel (gel.size_mm = {gel.size_mm[0]:g} {gel.size_mm[1]:g} mm), "
+        "whose sides are free: no housing beside it"
+    ]
 
 
 def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:

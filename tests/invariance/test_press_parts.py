@@ -49,3 +49,27 @@ def test_a_skin_ten_times_stiffer() -> None:
 @pytest.mark.slow
 def test_a_skin_of_the_flesh_changes_only_the_mesh() -> None:
     assert force(Skin(thickness_mm=1.0, youngs_modulus_kpa=100), "fast") == pytest.approx(force(Skin(), "fast"), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("body", "offset", "beyond"),
+    [
+        # Half of 25 mm less half of 12 mm, on either side.
+        (Body(shape="cylinder", radius_mm=5, rigid=True), (0.0, 0.0), "6.5 mm"),
+        (Body(shape="cylinder", radius_mm=5, rigid=True, length_mm=8), (0.0, 0.0), None),
+        # Its side is at the height of the gel's face sqrt(3² - 2.5²) = 1.66 mm from the middle, which is at the border.
+        (Body(shape="hemisphere", radius_mm=3, rigid=True), (6.0, 0.0), "1.7 mm"),
+        # Flush: it bulges beyond the gel, but does not stand there.
+        (Body(shape="box", width_mm=12, length_mm=12, height_mm=8), (0.0, 0.0), None),
+    ],
+)
+def test_an_object_beyond_the_border_of_the_gel_is_noted(body: Body, offset: tuple[float, float], beyond: str | None) -> None:
+    press = Press(depth_mm=0.5, force_n=None, frames=3, offset_mm=offset)
+    found = pipeline.press(Scene(gel=Gel("flat", (12.0, 12.0), 3.0), object=body, press=press, fidelity="fast"))
+    told = found.info.get("warnings", [])
+    assert found.status is SolveStatus.CONVERGED
+    assert told == (
+        [f"the object goes {beyond} beyond the border of the gel (gel.size_mm = 12 12 mm), whose sides are free: no housing beside it"]
+        if beyond
+        else []
+    )
