@@ -72,6 +72,6 @@ class PressEnd(enum.StrEnum):
     FORCE = "force_n"
     DEPTH = "depth_mm"
     LIMIT = "the farthest that a press to a force goes"
-    """The body is squashed before it carries the force."""
+    """Half of the gel and a third of a soft body's height: no further unless a depth is given."""
     LOST = "no equilibrium found further on"
     """Also of a press to a force that counts as converged: the states on the way to where the search for the force ended."""

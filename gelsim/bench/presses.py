@@ -73,6 +73,7 @@ def facts(press: Deformation, states_wanted: int) -> Row:
         "penetration_um": round(float(press.penetration.max()) * 1e6, 2),
         "drift_percent": round(100 * _drift(press), 2),
         "approach_mm": round(float(press.approach[-1]) * 1e3, 4),
+        "contact_mm2": round(float(press.contact_area[-1]) * 1e6, 1),
         "force_n": [round(float(f), 6) for f in press.force[-1]],
     }
 

@@ -103,7 +103,8 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     deformation = march.recorder.deformation(march.status, message, march.halved)
     deformation.info["energy"], deformation.info["ended_by"] = march.energy.report(), end
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{beyond}")
+        found = beyond or f" with {march.normal_force:.3g} N"
+        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{found}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation

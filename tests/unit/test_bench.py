@@ -187,6 +187,7 @@ def test_a_bounded_case_cannot_take_the_others_with_it() -> None:
 
 def test_verdicts_name_what_is_wrong_and_how_far_pairs_are_apart() -> None:
     good = {"status": "CONVERGED", "min_jacobian": 0.5, "penetration_um": 4.0, "drift_percent": 0.2, "states": 6, "states_wanted": 6}
+    good |= {"ended_by": PressEnd.DEPTH, "approach_mm": 9.5}
     rows = [
         good | {"name": "mirrored: offset and tilt +", "force_n": [0.1, 0.0, -1.0]},
         good | {"name": "mirrored: offset and tilt -", "force_n": [-0.1, 0.0, -1.001]},
@@ -194,11 +195,13 @@ def test_verdicts_name_what_is_wrong_and_how_far_pairs_are_apart() -> None:
         good | {"name": "one load step", "force_n": [0.0, 0.0, -1.1]},
         good | {"name": "deep", "force_n": [0.0, 0.0, -1.0], "penetration_um": 80.0, "drift_percent": -9.0},
         {"name": "failed", "status": "MAX_ITERATIONS", "message": "at 0.3 mm"},
+        good | {"name": "to a force", "force_n": [0.0, 0.0, -1.0], "ended_by": PressEnd.LIMIT},
     ]
     verdicts = [row["verdict"] for row in stability._judged(rows)]
     assert verdicts[0] == "well" and "0.1 % from" in verdicts[1] and verdicts[2] == "well"
     assert verdicts[3].startswith("NOT WELL: 10 % from")
     assert "overlap 80" in verdicts[4] and "drift -9 %" in verdicts[4] and verdicts[5] == "NOT WELL: at 0.3 mm"
+    assert verdicts[6] == "NOT WELL: ended at 9.5 mm"
 
 
 def test_closed_forms_are_judged_by_their_bounds_and_the_control_the_other_way() -> None:
