@@ -158,7 +158,8 @@ def test_a_random_scene_that_lost_its_equilibrium_before_its_force_has_not_conve
     section = random_scenes.SECTION
     assert [row["name"] for row in section.listed(rows)] == ["LOST", "none", "no scene"]
     said = section.remarks(rows)
-    assert "3 of 6 converge" in said and "before they carry it: LIMIT." in said
+    assert "3 of 6 converge" in said and "as a press to a force goes: LIMIT." in said
+    assert "Without these two kinds: 0.00 %." in said
     gripped = {"FORCE": "0.5 for 0.1", "DEPTH": "0.5 for stick"}
     assert f"Solved with another friction than asked for: {', '.join(f'{end} ({how})' for end, how in gripped.items())}." in said
 
