@@ -56,7 +56,9 @@ def _cell(value: object) -> str:
         return "–"
     if isinstance(value, list):
         return ", ".join(f"{v:.4g}" for v in value)
-    return str(value).lower() if isinstance(value, str) and value.isupper() else str(value).replace("|", "\\|")
+    if isinstance(value, str) and re.fullmatch("[A-Z_]+", value):  # a status
+        return value.lower()
+    return str(value).replace("|", "\\|")
 
 
 def _place(name: str) -> re.Pattern[str]:

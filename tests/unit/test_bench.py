@@ -224,6 +224,14 @@ def test_the_page_has_a_place_for_every_section(repository: Path) -> None:
     assert sorted(pages[0] + pages[1]) == sorted(SECTIONS)
 
 
+def test_a_status_is_written_small_and_a_unit_as_it_is() -> None:
+    from gelsim.bench import report
+
+    rows = [{"ended": "MAX_ITERATIONS", "found": "1.2372 N", "symbol": "μ|", "none": None}]
+    columns = (("a", "ended"), ("b", "found"), ("c", "symbol"), ("d", "none"))
+    assert report.table(columns, rows)[-1] == "| max_iterations | 1.2372 N | μ\\| | – |"
+
+
 def test_workers_share_the_cases(tmp_path: Path) -> None:
     """Two processes give the rows that one gives, and a run that was stopped goes on."""
     asked = {"sections": ["closed-forms"], "options": Options(quick=True, data=None)}
