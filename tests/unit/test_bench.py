@@ -205,6 +205,22 @@ def test_verdicts_name_what_is_wrong_and_how_far_pairs_are_apart() -> None:
     assert verdicts[6] == "NOT WELL: ended at 9.5 mm"
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "verdict"),
+    [
+        ("force_error_percent", 2.1, "NOT MET"),
+        ("radius_finer_percent", 3.1, "NOT MET"),
+        ("profile_rms_um", 5.1, "NOT MET"),
+        ("seconds", 9, "met"),
+    ],
+)
+def test_accuracy_is_held_against_its_bounds(field: str, value: float, verdict: str) -> None:
+    row = {"fidelity": "balanced", "force_error_percent": 1.0, "radius_finer_percent": 2.9, "profile_rms_um": 4.0, "seconds": 1.0}
+    said = accuracy.SECTION.remarks([row, row | {field: value}])
+    assert said.endswith(f": {verdict}.") and "`reference`" not in said
+    assert accuracy.SECTION.remarks([row, {"fidelity": "balanced"}]).endswith("NOT MET.")
+
+
 def test_closed_forms_are_judged_by_their_bounds_and_the_control_the_other_way() -> None:
     known = closed_forms.Known("number", lambda: (1.01, 1.0, 1.0), 0.02, "somewhere")
     assert closed_forms._measure(known)["verdict"] == "met"
