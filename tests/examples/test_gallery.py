@@ -91,3 +91,23 @@ def test_the_study_in_python_runs_as_the_docs_have_it(repository: Path, tmp_path
     # Hertz: the peak is 3/2 of the mean; thin gel and finite dents raise it.
     assert len(rows) == 4 and all(1.3 < float(row["pressure_ratio"]) < 2.5 for row in rows)
     assert "peak pressure over mean pressure: least," in done.stdout and (tmp_path / "out" / "own" / "index.html").exists()
+
+
+def test_the_sensor_and_the_study_of_the_docs_are_files_that_work(repository: Path, tmp_path: Path) -> None:
+    """As a newcomer types them: the sensor is drawn, its study solved."""
+    text = (repository / "docs" / "extending.md").read_text(encoding="utf-8")
+    sensor, study, layouts = re.findall(r"```toml\n(.*?)\n```", text[: text.index("## A shape")], re.DOTALL)
+    for name, content in (("pad18.toml", sensor), ("pad18_low.toml", sensor), ("thick.toml", study), ("layouts.toml", layouts)):
+        (tmp_path / name).write_text(content)
+    for command in (
+        ["inspect", "--sensor", "pad18.toml", "--out", "pad18.png"],
+        ["study", "thick.toml", "--workers", "1", "--out", "thick"],
+        ["study", "layouts.toml", "--workers", "1", "--out", "layouts"],
+    ):
+        done = subprocess.run([sys.executable, "-m", "gelsim", *command], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+    with (tmp_path / "thick" / "study.csv").open(encoding="utf-8") as file:
+        forces = [float(row["force_n"]) for row in csv.DictReader(file)]
+    # A thicker gel gives way more.
+    assert len(forces) == 4 and forces == sorted(forces, reverse=True) and forces[-1] > 0
+    assert (tmp_path / "pad18.png").stat().st_size > 10_000
