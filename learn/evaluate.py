@@ -45,6 +45,7 @@ TITLES = {
 FIRM_N = 0.5
 """Presses that end at less hardly dent the gel: a row's error is also given without them [N]."""
 HARDNESS_BANDS, FORCE_BANDS = (0, 20, 40, 60, 70, 80, 100), (0, FIRM_N, 1, 2, 5, 10, 1000)
+RADIUS_BANDS_MM = (0, 3, 4, 5, 8, 15, 30, 1000)
 CHUNK = 64
 """Episodes in memory at once."""
 
@@ -236,7 +237,7 @@ def _details(known: list[dict[str, Any]]) -> dict[str, Any]:
     rows = [prediction["row"] for prediction in known]
     keys = {
         "shape": [row["shape"] for row in rows],
-        "radius": ["—" if row["radius_mm"] is None else f"{row['radius_mm']:g} mm" for row in rows],
+        "radius": ["—" if row["radius_mm"] is None else _band(row["radius_mm"], RADIUS_BANDS_MM) + " mm" for row in rows],
         "hardness": [_band(row["shore_00"], HARDNESS_BANDS) for row in rows],
         "force": ["unknown" if row["peak_force_n"] is None else _band(row["peak_force_n"], FORCE_BANDS) + " N" for row in rows],
     }
