@@ -4,6 +4,7 @@ datasets of a tiny plan: killed, resumed, with one and two workers."""
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -280,6 +281,7 @@ def test_killed_ten_times_at_random_moments(tmp_path: Path, monkeypatch: pytest.
             while len(list(killed.rglob("*.tar"))) < min(had + 1, episodes) and time.monotonic() < until:
                 time.sleep(0.005)
             time.sleep(random.uniform(0.0, 0.5))
+            assert child.poll() is None  # else nothing is killed
             child.kill()
         time.sleep(1.0)  # until the workers have noticed
         for episode in load_dataset(killed):  # each is whole
@@ -288,6 +290,26 @@ def test_killed_ten_times_at_random_moments(tmp_path: Path, monkeypatch: pytest.
     generate(TINY, episodes, killed, seed=3, workers=2, resume=True)
     generate(TINY, episodes, tmp_path / "whole", seed=3, workers=1)
     assert contents(killed) == contents(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_a_disk_that_takes_no_more_ends_the_run_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Files above a size are refused, as a full disk refuses them."""
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
+    put_fields(TINY, 3)
+    generate(TINY, 6, tmp_path / "whole", seed=3, workers=1)
+    sizes = sorted(path.stat().st_size for path in (tmp_path / "whole").rglob("*.tar"))
+    assert sizes[0] < sizes[-1]
+    most = (sizes[-1] - 1, resource.RLIM_INFINITY)
+    done = subprocess.run(
+        run_of(tmp_path / "full", 6, 1), capture_output=True, text=True, timeout=300,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, most),
+    )  # fmt: skip
+    assert done.returncode == 2 and "cannot be written" in done.stderr and "Traceback" not in done.stderr
+    there = load_dataset(tmp_path / "full")
+    assert len(there) < 6 and all(len(episode.frames) == episode.row["frames"] for episode in there)
+    generate(TINY, 6, tmp_path / "full", seed=3, workers=1, resume=True)
+    assert contents(tmp_path / "full") == contents(tmp_path / "whole")
 
 
 @pytest.mark.slow
