@@ -469,7 +469,7 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
         if estimate is not None
         else "not estimated by this version; --fidelity reference against balanced shows it",
         "device": {"asked": device, "machine": platform.machine(), "system": platform.platform(), "python": platform.python_version()},
-        "versions": {name: _version(name) for name in VERSIONS_OF},
+        "versions": versions(),
         "seed": scene.seed,
         "scene": scene_table(scene),
         "warnings": record.warnings + noted,
@@ -485,8 +485,13 @@ def _slow_motion(scene: Scene, deformation: Deformation) -> float:
     return round(shown / max(float(deformation.approach[-1]) * 1e3 / scene.press.speed_mm_s, 1e-9), 1)
 
 
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+def versions() -> dict[str, str | None]:
+    """Installed versions of VERSIONS_OF; None for what is not here."""
+
+    def version(name: str) -> str | None:
+        try:
+            return importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            return None
+
+    return {name: version(name) for name in VERSIONS_OF}

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import importlib
 import os
+import platform
+import subprocess
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from gelsim import pipeline
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import GelsimError, SceneError, SolveStatus
@@ -53,11 +56,12 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     new = [(name, case) for name, case in todo if f"{name}/{case.name}" not in known][:limit]
     if progress:
         progress("bench", len(todo) - len(new), len(todo))
+    made_by = _made_by() if new else {}
     for number, row in enumerate(_measured(new, options, workers), start=1):
         if progress:
             progress("bench", len(todo) - len(new) + number, len(todo))
         busy = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
-        ledger.add(row | {"load": busy, "cores": os.cpu_count(), "workers": workers})
+        ledger.add(row | {"load": busy, "cores": os.cpu_count(), "workers": workers, "made_by": made_by})
     written = [_written(out, name, [f"{s}/{case.name}" for s, case in todo if s == name], known, options.quick) for name in wanted]
     (out / "bench.md").write_text("\n".join(f"### {load(table.section).title}\n\n{table.markdown}" for table in written))
     if page is not None:
@@ -69,6 +73,27 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
         "missing": len(todo) - len(rows),
         "failed": [row["key"] for row in rows if row.get("status") != SolveStatus.CONVERGED.name],
     }
+
+
+def _made_by() -> dict[str, str | None]:
+    """Code and machine of a row: a run that goes on with --resume may have another one of each.
+
+    `commit` is None where the package is not run from its repository, and ends in "-dirty" where that has changes.
+    """
+    root = Path(__file__).parents[2]
+    commit = None
+    if (root / ".git").exists():
+        try:
+            said = subprocess.run(["git", "-C", str(root), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=60)
+            commit = said.stdout.strip() or None
+        except (OSError, subprocess.TimeoutExpired):  # no git here
+            pass
+    processor = platform.processor() or platform.machine()
+    facts = Path("/proc/cpuinfo")  # on Linux `platform` does not know the name
+    names = [line for line in facts.read_text().splitlines() if line.startswith("model name")] if facts.is_file() else []
+    if names:
+        processor = names[0].partition(":")[2].strip()
+    return {"commit": commit, "python": platform.python_version()} | pipeline.versions() | {"processor": processor}
 
 
 def _measured(cases: list[tuple[str, Case]], options: Options, workers: int) -> Iterator[Row]:
@@ -102,7 +127,7 @@ def _make_measurer(names: list[tuple[str, str]], options: Options) -> Work[Row]:
 def _written(out: Path, name: str, keys: list[str], known: dict[str, Row], quick: bool) -> report.Table:
     section = load(name)
     rows = section.judge([known[key] for key in keys if key in known])
-    write_csv(out / f"{name}.csv", rows, without=("key", "section"))
+    write_csv(out / f"{name}.csv", rows, without=("key", "section", "made_by"))
     if section.draw is not None and rows:
         section.draw(rows, out)
     return report.Table(name, rows, report.describe(name, section, rows, len(keys), quick))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability
@@ -115,6 +117,25 @@ def test_resume_measures_only_what_is_missing(tmp_path: Path, measured: list[str
     assert (result["cases"], result["missing"]) == (3, 0)
     assert measured == ["a", "stopped", "b", "c"]
     assert (tmp_path / "letters.csv").read_text().count("\n") == 4
+
+
+def test_a_row_says_what_made_it_and_one_that_is_kept_still_does(tmp_path: Path, measured: list[str]) -> None:
+    measured.append("stopped")
+    runner.run(tmp_path, limit=1)
+    path = tmp_path / runner.RESULTS
+    first = _rows(tmp_path)[0]
+    made_by = first["made_by"]
+    assert isinstance(made_by, dict)
+    assert made_by["python"] == platform.python_version() and made_by["processor"]
+    assert made_by["numpy"] == np.__version__ and made_by["warp-lang"] and made_by["mitsuba"]
+    # As of another machine; and a row of a run before rows said it.
+    old = {key: value for key, value in first.items() if key != "made_by"} | {"key": "letters/b", "name": "b"}
+    kept = [first | {"made_by": made_by | {"processor": "another"}}, old]
+    path.write_text("".join(json.dumps(row) + "\n" for row in kept))
+    assert runner.run(tmp_path, resume=True)["missing"] == 0
+    rows = _rows(tmp_path)
+    assert rows[:2] == kept and rows[2]["made_by"] == made_by
+    assert "made_by" not in (tmp_path / "letters.csv").read_text()
 
 
 def test_a_page_keeps_its_words_and_gets_its_table(tmp_path: Path, measured: list[str]) -> None:
