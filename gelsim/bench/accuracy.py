@@ -112,10 +112,11 @@ def _remarks(rows: list[Row]) -> str:
         solved = all("force_error_percent" in row for row in mine)
         fields = ("force_error_percent", "radius_finer_percent", "profile_rms_um")
         force, radius, profile = (max((row[field] for row in mine if field in row), default=float("inf")) for field in fields)
+        coarse = max((row["radius_error_percent"] for row in mine if "radius_error_percent" in row), default=float("inf"))
         met = solved and all(found <= bound for found, bound in zip((force, radius, profile), bounds, strict=True))
         said.append(
             f"`{fidelity}`, {len(mine)} cases: force {force:g} % ({bounds[0]:g} wanted), radius off finer profiles {radius:g} % "
-            f"({bounds[1]:g}), profile {profile:g} µm ({bounds[2]:g}): {'met' if met else 'NOT MET'}."
+            f"({bounds[1]:g}; off the table's own {coarse:g} %), profile {profile:g} µm ({bounds[2]:g}): {'met' if met else 'NOT MET'}."
         )
     return " ".join(said)
 

@@ -240,6 +240,7 @@ def test_accuracy_is_held_against_its_bounds(field: str, value: float, verdict: 
     said = accuracy.SECTION.remarks([row, row | {field: value}])
     assert said.endswith(f": {verdict}.") and "`reference`" not in said
     assert accuracy.SECTION.remarks([row, {"fidelity": "balanced"}]).endswith("NOT MET.")
+    assert "off the table's own 8.1 %)" in accuracy.SECTION.remarks([row | {"radius_error_percent": 8.1}])
 
 
 def test_closed_forms_are_judged_by_their_bounds_and_the_control_the_other_way() -> None:
