@@ -110,9 +110,8 @@ def _remarks(rows: list[Row]) -> str:
         if not mine:
             continue
         solved = all("force_error_percent" in row for row in mine)
-        fields = ("force_error_percent", "radius_finer_percent", "profile_rms_um")
-        force, radius, profile = (max((row[field] for row in mine if field in row), default=float("inf")) for field in fields)
-        coarse = max((row["radius_error_percent"] for row in mine if "radius_error_percent" in row), default=float("inf"))
+        fields = ("force_error_percent", "radius_finer_percent", "profile_rms_um", "radius_error_percent")
+        force, radius, profile, coarse = (max((row[field] for row in mine if field in row), default=float("inf")) for field in fields)
         met = solved and all(found <= bound for found, bound in zip((force, radius, profile), bounds, strict=True))
         said.append(
             f"`{fidelity}`, {len(mine)} cases: force {force:g} % ({bounds[0]:g} wanted), radius off finer profiles {radius:g} % "

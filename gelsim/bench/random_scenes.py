@@ -128,14 +128,14 @@ def _remarks(rows: list[Row]) -> str:
     changed = [row for row in rows if _solved(row) and row.get("friction_coefficient") not in (None, row.get("friction"))]
     other = ", ".join(f"{row['name']} ({row['friction_coefficient']:g} for {row['friction']})" for row in changed)
     share = 1 - len(failed) / len(rows)
-    short = len([row for row in limited if row not in changed])
+    as_asked = sum(_solved(row) and row not in limited and row not in changed for row in rows)
     verdict = "too few scenes to tell" if len(rows) < COUNT else "met" if share >= WANTED else "NOT MET"
     lines = [
         f"{len(rows) - len(failed)} of {len(rows)} converge, {100 * share:.2f} % "
         f"(wanted {100 * WANTED:g} % of {COUNT}: {verdict}), seed {SEED}. "
         f"To a force that they do not carry as far as a press to a force goes: {squashed or 'none'}. "
         f"Solved with another friction than asked for: {other or 'none'}. "
-        f"Without these two kinds: {100 * (len(rows) - len(failed) - len(changed) - short) / len(rows):.2f} %.",
+        f"Without these two kinds: {100 * as_asked / len(rows):.2f} %.",
         "",
         *table(
             (
