@@ -15,6 +15,7 @@ import numpy as np
 
 from gelsim.bench.presses import ball, hemisphere, press_case
 from gelsim.bench.section import Case, Layer, Options, Row, Section
+from gelsim.fem.indicator import JUDGED_FROM
 from gelsim.results import Deformation
 from gelsim.scene_file import assets_folder
 
@@ -59,33 +60,41 @@ def press_errors(press: Deformation, name: str, wanted: dict[str, float], modulu
     """Largest relative errors over the states that rows `wanted` of the reference `name` have, and the RMS error of the profile.
 
     The contact radius also against contact_radius.csv (`docs/studies/contact_radius.py`), whose edges are a quarter as long; `modulus`
-    names the object there.
+    names the object there. Its forces are what the press's own estimate is held against, over the states that this is of.
     """
     rows = [row for row in reference_table(name) if all(math.isclose(row[key], value) for key, value in wanted.items())]
     known = {row["approach_mm"]: row for row in rows}
-    finer = _finer_radii(wanted["nu"], modulus)
-    force_errors, radius_errors, finer_errors = [], [], []
+    finer = _finer(wanted["nu"], modulus)
+    estimate = press.info["error_estimate"]
+    assert isinstance(estimate, dict)
+    force_errors, radius_errors, finer_errors, judged_errors = [], [], [], []
+    least = JUDGED_FROM * -press.force[:, 2].min()
     for i, approach in enumerate(np.round(press.approach * 1e3, 4)):
         if float(approach) in known:
             row = known[float(approach)]
             radius_mm = math.sqrt(press.contact_area[i] / math.pi) * 1e3
             force_errors.append(-press.force[i, 2] / row["force_N"] - 1)
             radius_errors.append(radius_mm / row["contact_radius_mm"] - 1)
-            finer_errors.append(radius_mm / finer[float(approach)] - 1)
+            radius_finer, force_finer = finer[float(approach)]
+            finer_errors.append(radius_mm / radius_finer - 1)
+            if -press.force[i, 2] >= least:
+                judged_errors.append(-press.force[i, 2] / force_finer - 1)
     found: Row = {
         "force_error_percent": round(100 * max(map(abs, force_errors)), 2),
         "radius_error_percent": round(100 * max(map(abs, radius_errors)), 1),
         "radius_finer_percent": round(100 * max(map(abs, finer_errors)), 1),
         "radius_finer_rms_percent": round(100 * float(np.sqrt(np.mean(np.square(finer_errors)))), 1),
+        "judged_percent": round(100 * max(map(abs, judged_errors)), 3),
+        "estimate_percent": round(100 * estimate["force"], 2),
     }
     return found | ({"profile_rms_um": round(_profile_error(profile, press), 2)} if profile else {})
 
 
-def _finer_radii(nu: float, modulus: str) -> dict[float, float]:
-    """Contact radius [mm] by approach [mm]."""
+def _finer(nu: float, modulus: str) -> dict[float, tuple[float, float]]:
+    """Contact radius [mm] and force [N] by approach [mm]."""
     with (assets_folder() / "reference" / "contact_radius.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if float(row["nu"]) == nu and row["object_modulus_kPa"] == modulus]
-    return {float(row["approach_mm"]): float(row["contact_radius_mm"]) for row in rows}
+    return {float(row["approach_mm"]): (float(row["contact_radius_mm"]), float(row["force_N"])) for row in rows}
 
 
 def _profile_error(name: str, press: Deformation) -> float:
@@ -117,6 +126,14 @@ def _remarks(rows: list[Row]) -> str:
             f"`{fidelity}`, {len(mine)} cases: force {force:g} % ({bounds[0]:g} wanted), radius off finer profiles {radius:g} % "
             f"({bounds[1]:g}; off the table's own {coarse:g} %), profile {profile:g} µm ({bounds[2]:g}): {'met' if met else 'NOT MET'}."
         )
+    for kind in ("solid", "profile"):
+        judged = [row for row in rows if "judged_percent" in row and f", {kind}, " in row["name"]]
+        ratios = [row["estimate_percent"] / max(row["judged_percent"], 1e-3) for row in judged]
+        if ratios:
+            said.append(
+                f"The force error that presses tell of themselves is {min(ratios):.1f} to {max(ratios):.1f} times the true one of {kind}s "
+                f"(median {np.median(ratios):.1f}), off by more than it says in {sum(ratio < 1 for ratio in ratios)} of {len(ratios)}."
+            )
     return " ".join(said)
 
 
@@ -157,6 +174,7 @@ SECTION = Section(
     title="Accuracy",
     columns=(
         ("case", "name"), ("unknowns", "unknowns"), ("force error, largest [%]", "force_error_percent"),
+        ("off finer profiles' from a tenth of the force on [%]", "judged_percent"), ("own estimate of that [%]", "estimate_percent"),
         ("contact radius off the table's, largest [%]", "radius_error_percent"),
         ("off finer profiles', largest [%]", "radius_finer_percent"),
         ("… RMS [%]", "radius_finer_rms_percent"),

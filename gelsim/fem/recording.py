@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.elements import triangle_quadrature
-from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, MEMBRANE_ERROR_PER_KINK, stress_jump, surface_kink
+from gelsim.fem.indicator import (
+    DISTORTED,
+    FORCE_ERROR_PER_JUMP,
+    MEMBRANE_ERROR_PER_KINK,
+    force_error,
+    judged_states,
+    stress_jump,
+    surface_kink,
+)
 from gelsim.fem.problem import KPA, MM, PressProblem
 from gelsim.fem.self_contact import closing_gap
 from gelsim.fem.touching import touching_area
@@ -32,6 +40,7 @@ class Recorder:
         self._numbers: dict[str, list[float]] = {}
         self._force: list[Array] = []
         self._pressure: list[Array] = []
+        self._overlap: list[float] = []
         self._displacement: list[Array] = []
         self._clock = time.perf_counter()
 
@@ -43,6 +52,7 @@ class Recorder:
         self.approach.append(approach)
         self._force.append(problem.contact_force())
         self._pressure.append(pressure)
+        self._overlap.append(_mean_overlap(problem) / MM)
         self._displacement.append(problem.solids.displacement.numpy() / MM)
         numbers = {
             "contact_area": area,
@@ -61,8 +71,11 @@ class Recorder:
         problem = self.problem
         everything = np.array(self._displacement)
         gel_motion, object_motion, pressure = self._surfaces(everything)
+        judged = judged_states(-np.array(self._force)[:, 2])
+        jump = np.array([self._jump(everything[i]) for i in judged])
+        approach, overlap = np.array(self.approach)[judged], np.array(self._overlap)[judged]
+        of_force = force_error(jump, overlap, approach, self._per_jump(min(self._numbers["min_jacobian"])))
         # of the last state kept: after a failure the solids hold that one again
-        jump = stress_jump(problem.solids.tets, problem.quadrature, problem.shear, everything[-1] * MM, problem.regions)
         kink = self._kink(everything[-1])
         hollow = problem.object_material is not None and problem.scene.object.shape in HOLLOW
         told = [*(_self_contact(object_motion) if hollow else []), *_beyond_border(problem.scene.gel, object_motion)]
@@ -86,14 +99,21 @@ class Recorder:
                 "rigid_object": problem.object_material is None,
                 "linear_solver": problem.linear_solver,
                 "factorisations": int(numbers["linear_iterations"].sum()),
-                "stress_jump": jump,
-                "error_estimate": {"force": FORCE_ERROR_PER_JUMP * jump, "membrane_um": MEMBRANE_ERROR_PER_KINK * kink * 1e6},
+                "stress_jump": float(jump[-1]),
+                "error_estimate": {"force": of_force, "membrane_um": MEMBRANE_ERROR_PER_KINK * kink * 1e6},
             },
             **numbers,
         )
 
     def _contact(self) -> tuple[float, Array]:
         return _area_and_pressure(self.problem)
+
+    def _jump(self, displacement: Array) -> float:
+        problem = self.problem
+        return stress_jump(problem.solids.tets, problem.quadrature, problem.shear, displacement * MM, problem.regions)
+
+    def _per_jump(self, smallest_jacobian: float) -> float:
+        return FORCE_ERROR_PER_JUMP["solid" if smallest_jacobian > DISTORTED else "profile"]
 
     def _kink(self, displacement: Array) -> float:
         gel = self.problem.gel
@@ -142,6 +162,14 @@ def _beyond_border(gel: Gel, surface: SurfaceMotion) -> list[str]:
         f"the object goes {reach * MM:.2g} mm beyond the border of the gel (gel.size_mm = {gel.size_mm[0]:g} {gel.size_mm[1]:g} mm), "
         "whose sides are free: no housing beside it"
     ]
+
+
+def _mean_overlap(problem: PressProblem) -> float:
+    """Of the points in contact, weighted with the force that each carries [solver units of length]."""
+    contact = problem.contact
+    share = contact.rest_weight * np.asarray(contact.pressure.numpy(), np.float64)
+    overlap = np.maximum(-contact.gap.numpy(), 0.0)
+    return float((share * overlap)[share > 0].sum() / max(share.sum(), 1e-300))
 
 
 def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:

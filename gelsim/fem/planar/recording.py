@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.fem.indicator import MOVING
+from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, MOVING
 from gelsim.fem.planar.elements import edge_quadrature, edge_shape
 from gelsim.fem.planar.problem import PlanarProblem
 from gelsim.fem.planar.touching import touching_intervals
@@ -54,6 +54,9 @@ class PlanarRecorder(Recorder):
         top = np.bincount(nodes, (weight * pressure.reshape(weight.shape) @ hats).ravel(), count)
         bottom = np.bincount(nodes, (weight @ hats).ravel(), count)
         return float(area), top / np.where(bottom > 0, bottom, 1.0) / KPA
+
+    def _per_jump(self, smallest_jacobian: float) -> float:
+        return FORCE_ERROR_PER_JUMP["profile"]
 
     def _kink(self, displacement: Array) -> float:
         """`indicator.surface_kink` of the profile: mean edge length times the jump of du_z/dx at its vertices, root mean square [m]."""
