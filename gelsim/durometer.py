@@ -351,7 +351,7 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
         if contact.frictional:  # a good part of what a tip bears deep in a block, by its flanks
             along = along + contact.traction.numpy()[:, 2]
         along = np.where(pressure > 0, along, 0.0) * contact.rest_weight
-        place = (solids.rest + solids.displacement.numpy())[contact.gel_faces][..., 0] @ contact.shape_values.T
+        place = (solids.rest + solids.displacement.numpy())[contact.slave_faces][..., 0] @ contact.shape_values.T
         force, whole = -problem.contact_force()[2] / MODULUS, along.sum()
         share = along[place.ravel() < HOLE_RADIUS / MM].sum() / whole if whole else 1.0
         states.append((force, share * force))

@@ -3,11 +3,12 @@ is behind them."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,9 @@ class Try:
     """One way to solve a press."""
 
     contact_points: int = 6
-    """Quadrature points on a face of the gel."""
+    """Quadrature points on a face."""
+    on_object: bool = False
+    """The points are those of the object's faces and look for the gel's, not the other way round."""
     held: float = 0.0
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     friction: tuple[float, float] | None = None
@@ -39,8 +42,9 @@ STICK = 10.0
 step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
 """Least μ of the last try: a soft tip that nothing holds slides away in its own folds, and Newton with it."""
-TRIES = (Try(), Try(12, 20.0, (0.0, STICK)), Try(12, 20.0, (GRIP, STICK)))
-"""Of a press, one after the other, until one reaches its end; the last one only where it differs from that before."""
+PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
+TIPS = ("corner", "cone")
+"""Shapes whose folded tip the gel's points slide off: where friction holds it, its own points look for the gel (contact.py)."""
 
 
 def quiet_warp() -> None:
@@ -63,12 +67,12 @@ def solve_press(
     progress: Callable[[int, int], None] | None = None,
     throw: bool = True,
 ) -> Deformation:
-    """Solves a press; one that ends where no equilibrium is found is tried again (`TRIES`), and the one that got furthest is returned.
+    """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    The second time it has twice the contact points, volume is held at points too, and what sticks slides at friction `STICK`; the third
-    time, where friction was less, it is `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on smooth
-    bodies they cost time and change nothing. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few per
-    cent stiffer (docs/mechanics.md).
+    A soft object that friction holds is tried with contact's points on either surface. Then it has twice the contact points, volume is held
+    at points too, and what sticks slides at friction `STICK`; the last time, where friction was less, it is `GRIP`. Its info says so. More
+    points see more of how a soft edge bends between them; on smooth bodies they cost time and change nothing. Volume held at points keeps
+    crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -88,14 +92,14 @@ def solve_press(
 
     best: Deformation | None = None
     name = "cuda:0" if device == "cuda" else "cpu"
-    for way in _ways(scene):
+    for number, way in enumerate(ways(scene), 1):
         bodies = _tried(scene, way), gel, body, placement, gel_material, object_material, name
-        problem = PressProblem(*bodies, part_materials=part_materials, contact_points=way.contact_points, held=way.held)
+        problem = PressProblem(*bodies, part_materials=part_materials, **_discretised(way))
         if name != "cpu" and problem.memory is None and solves_on_gpu():
             press = run_batch([problem], states=progress)[0]
         else:
             press = run_press(problem, progress=progress, throw=False)
-        _note(press, scene, way)
+        _note(press, scene, way, number)
         best = _further(best, press)
         if not press.lost:
             break
@@ -105,10 +109,20 @@ def solve_press(
     return best
 
 
-def _ways(scene: Scene) -> list[Try]:
-    """The tries that the scene may have."""
+def ways(scene: Scene) -> list[Try]:
+    """The tries that a scene may have, one after the other until one reaches its end."""
     friction = scene.contact.friction_coefficient
-    return [*TRIES] if isinstance(friction, float | int) and friction < GRIP else [*TRIES[:-1]]
+    held = not isinstance(friction, str) and friction >= GRIP
+    last = [] if held or isinstance(friction, str) else [GRIPPED]
+    if scene.object.rigid or not held:  # rigid faces need not be as fine as points on them must lie; what slides finds no hold on the gel
+        return [PLAIN, HELD, *last]
+    on_object = replace(PLAIN, on_object=True)
+    return [on_object, replace(HELD, on_object=True), HELD] if scene.object.shape in TIPS else [PLAIN, on_object, HELD]
+
+
+def _discretised(way: Try) -> dict[str, Any]:
+    """What of a try the problem is made with."""
+    return {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object}
 
 
 def _tried(scene: Scene, way: Try) -> Scene:
@@ -120,10 +134,11 @@ def _tried(scene: Scene, way: Try) -> Scene:
     return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
 
 
-def _note(press: Deformation, scene: Scene, way: Try) -> None:
+def _note(press: Deformation, scene: Scene, way: Try, number: int) -> None:
     """Tells in a press's info which try it is."""
-    press.info["contact_points"] = way.contact_points
-    if way.contact_points != TRIES[0].contact_points:
+    press.info["tried"] = number
+    press.info["contact_points"], press.info["contact_points_on"] = way.contact_points, "object" if way.on_object else "gel"
+    if way.held > 0.0:
         told = "did not reach its end at first: solved with twice the contact points, and volume held at points, which makes tets stiffer"
         press.warn(told)
     asked, solved = scene.contact.friction_coefficient, _tried(scene, way).contact.friction_coefficient
@@ -173,23 +188,29 @@ def solve_batch(
 
     best: dict[int, Deformation] = {}
     failed = list(range(len(bodies)))
-    for way in TRIES:
-        failed = [number for number in failed if way in _ways(bodies[number][0])]
-        if not failed:
-            break
-        problems, start, before = [], time.perf_counter(), len(bodies) - len(failed)
+    for turn in itertools.count():
+        groups: dict[Try, list[int]] = {}
         for number in failed:
-            scene, gel, body, placement = bodies[number]
-            of_object = list(object_materials(scene).values())
-            first = of_object[0] if of_object else None
-            of_all = _tried(scene, way), gel, body, placement, gel_material(scene), first, device
-            problems.append(PressProblem(*of_all, part_materials=of_object[1:], contact_points=way.contact_points, held=way.held))
-        if costs is not None:
-            costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
-        told = None if progress is None else partial(_told, progress, before, len(bodies))
-        for number, press in zip(failed, run_batch(problems, progress=told, costs=costs), strict=True):
-            _note(press, bodies[number][0], way)
-            best[number] = _further(best.get(number), press)
+            for way in ways(bodies[number][0])[turn : turn + 1]:
+                groups.setdefault(way, []).append(number)
+        if not groups:
+            break
+        left = sum(map(len, groups.values()))
+        for way, several in groups.items():
+            problems, start = [], time.perf_counter()
+            for number in several:
+                scene, gel, body, placement = bodies[number]
+                of_object = list(object_materials(scene).values())
+                first = of_object[0] if of_object else None
+                of_all = _tried(scene, way), gel, body, placement, gel_material(scene), first, device
+                problems.append(PressProblem(*of_all, part_materials=of_object[1:], **_discretised(way)))
+            if costs is not None:
+                costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
+            told = None if progress is None else partial(_told, progress, len(bodies) - left, len(bodies))
+            left -= len(several)
+            for number, press in zip(several, run_batch(problems, progress=told, costs=costs), strict=True):
+                _note(press, bodies[number][0], way, turn + 1)
+                best[number] = _further(best.get(number), press)
         failed = [number for number in failed if best[number].lost]
     return [best[number] for number in range(len(bodies))]
 

@@ -135,7 +135,7 @@ class _Batch:
         first = problems[0]
         for problem in problems:
             same = (problem.solids.tets, first.solids.tets), (problem.solids.free, first.solids.free)
-            faces = (problem.contact.gel_faces, first.contact.gel_faces), (problem.contact.object_faces, first.contact.object_faces)
+            faces = (problem.contact.slave_faces, first.contact.slave_faces), (problem.contact.master_faces, first.contact.master_faces)
             if not all(np.array_equal(a, b) for a, b in (*same, *faces)):
                 raise ValueError("the presses of a batch must have the same meshes")
         self.problems, self.count = problems, len(problems)

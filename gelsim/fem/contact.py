@@ -1,26 +1,30 @@
 """Contact of the gel's outer surface with the object's surface: gap, pressure, friction, and their tangents.
 
-Point to surface: each quadrature point x of the gel's six-node faces looks for the closest point y(ξ) on the object's six-node faces, which
-are curved, so a sphere has no facets. With n the object's outward normal there, the gap is g = n·(x - y). The contact potential is a C²
-penalty per rest area of gel, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
+Point to surface: each quadrature point x of one surface's six-node faces (the slave's) looks for the closest point y(ξ) on the other's (the
+master's), which are curved, so a sphere has no facets. With n the master's outward normal there, the gap is g = n·(x - y). The contact
+potential is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
 
     φ = 0 (s ≤ 0),  k s³/(6ε) (0 < s < ε),  k (s²/2 - εs/2 + ε²/6) (s ≥ ε),       s = λ/k - g,  p = ∂φ/∂s.
 
 k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere exactly, do not turn their sub-micrometre
-misfit into pressure ripples; λ, the pressure projected on linear functions over the gel's faces, then carries the load, so that little
+misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's faces, then carries the load, so that little
 overlap is left. The Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ with both bodies (Wriggers 2006, §9; there at
 g ≈ 0):
 
     D²g = -T^α N_αᵀ - N_α T^αᵀ - b_αβ T^α T^βᵀ,   T^α·δ = a^α·(δx - δy),  N_α·δ = n·δy,α,  b_αβ = n·y,αβ .
 
 Friction is Coulomb's, in the same way (Simo and Laursen 1992): with e the tangential slip of a point since the last load step (against the
-place on the object that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it
+place on the master that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it
 exceeds that. p in μp is that of the current iterate in the residual; the assembled tangent holds p constant there, which keeps it
 symmetric, and `slip_coupling` is the unsymmetric rest, of low rank. Far from equilibrium the slipping tangent is replaced by its secant,
 which resists a reversal of the slip as well.
 
-A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, and the object's points against the
-gel's faces (the gel carries the finer mesh, and `penetration` is what shows if that fails)."""
+Who is which: the master's normals should turn little from face to face. Over an object's sharp tip, whose flanks face away from each
+other, the gel's points find one flank or the other and forces jump; the tip's points on the gel's faces have one normal. Where the object
+is smooth the gel's points are the better ones, as they know where contact ends on the surface that the camera sees (`fem.ways` chooses).
+
+A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, points of both surfaces at once
+(`penetration` is what shows if one's are too few)."""
 
 from __future__ import annotations
 
@@ -81,7 +85,7 @@ class ContactState:
     anchor_face: wp.array
     anchor_xi: wp.array
     multipliers: Array
-    """(V, 4), at the gel's face vertices."""
+    """(V, 4), at the slave's face vertices."""
     kept: Array
     """(P, 3)."""
 
@@ -100,29 +104,48 @@ class ContactLaw:
     """k_t·h [kPa], likewise."""
 
 
+def rest_weights(rest: Array, faces: NDArray[np.int32], points: int) -> Array:
+    """Share of each quadrature point in the area of its six-node face, (F, points)."""
+    bary, rule = triangle_quadrature(points)
+    tangents = np.einsum("fni,qnj->fqij", rest[faces], tri6_gradient(bary))
+    return np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1) * rule
+
+
+def _border_sides(rest: Array, faces: NDArray[np.int32], symmetry: frozenset[str]) -> NDArray[np.int32]:
+    """Of each face the bits (`contact_kernels.on_sides`) of the sides that no other face has and that lie on no mirror plane."""
+    middle = faces[:, 3:]
+    alone = np.bincount(middle.ravel(), minlength=len(rest))[middle] == 1
+    for axis in symmetry:
+        alone &= np.abs(rest[middle, "xy".index(axis)]) > 1e-9
+    return (alone @ np.array([1, 2, 4])).astype(np.int32)
+
+
 class SurfaceContact:
-    """The gel's faces against the object's, with the state of the current iterate. Positions are given in mm."""
+    """The slave's faces against the master's, with the state of the current iterate. Positions are given in mm.
+
+    With `ends` the master ends at its border (but for mirror planes): a point beside it touches nothing, however deep. An object's surface
+    goes on around its rim, the gel's is a part of it.
+    """
 
     CORNERS = 3
     """Vertices of a face; its other nodes are in the middle of its sides."""
 
-    def __init__(self, gel_faces: NDArray[np.int32], object_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
-                 points: int = 6, symmetry: frozenset[str] = frozenset()) -> None:  # fmt: skip
+    def __init__(self, slave_faces: NDArray[np.int32], master_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
+                 points: int = 6, symmetry: frozenset[str] = frozenset(), ends: bool = False) -> None:  # fmt: skip
         self.law, self.device, self.points = law, device, points
-        self.gel_faces, self.object_faces = gel_faces, object_faces
-        bary, rule = triangle_quadrature(points)
+        self.slave_faces, self.master_faces = slave_faces, master_faces
+        bary = triangle_quadrature(points)[0]
         self.shape_values = tri6_shape(bary)
-        tangents = np.einsum("fni,qnj->fqij", rest[gel_faces], tri6_gradient(bary))
-        area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1)
-        self.rest_weight = (area * rule).ravel()
+        self.rest_weight = rest_weights(rest, slave_faces, points).ravel()
         count = len(self.rest_weight)
         face_area = self.rest_weight.reshape(-1, points).sum(1)
 
         def array(data: object, dtype: object) -> wp.array:
             return wp.array(data, dtype=dtype, device=device)
 
-        self.slave = array(gel_faces, wp.int32)
-        self.master = array(object_faces, wp.int32)
+        self.slave = array(slave_faces, wp.int32)
+        self.master = array(master_faces, wp.int32)
+        self.ends = array(_border_sides(rest, master_faces, symmetry) if ends else np.zeros(len(master_faces)), wp.int32)
         self.shape = array(self.shape_values, vec6d)
         self.weight = array(self.rest_weight, wp.float64)
         self.corners = array(_SUB_CORNERS, wp.vec2d)
@@ -140,7 +163,7 @@ class SurfaceContact:
         self.anchor_xi = wp.zeros(count, dtype=wp.vec2d, device=device)
         self.multiplier = wp.zeros(count, dtype=wp.float64, device=device)
         self.stiffness = array(law.stiffness / np.sqrt(face_area), wp.float64)
-        self.vertices, local = np.unique(gel_faces[:, :3], return_inverse=True)
+        self.vertices, local = np.unique(slave_faces[:, :3], return_inverse=True)
         self._corner = local.reshape(-1, 3)
         self._bary = bary
         mass = np.einsum("fq,qa,qb->fab", self.rest_weight.reshape(-1, points), bary, bary)
@@ -163,7 +186,7 @@ class SurfaceContact:
     def _share(self) -> None:
         """What the kernels take once a scene, and how they find their scene."""
         self.layout = Layout()
-        self.layout.points, self.layout.faces, self.layout.nodes = self.points, len(self.gel_faces), self.nodes
+        self.layout.points, self.layout.faces, self.layout.nodes = self.points, len(self.slave_faces), self.nodes
         self.overhang = wp.full(self.scenes, OVERHANG, dtype=wp.float64, device=self.device)
         self.geometric = wp.zeros(self.scenes, dtype=wp.float64, device=self.device)
         self.friction = wp.full(self.scenes, self.law.friction, dtype=wp.float64, device=self.device)
@@ -192,7 +215,7 @@ class SurfaceContact:
     @cached_property
     def _corners(self) -> tuple[wp.array, wp.array, wp.array]:
         """The object's triangles: nodes of a scene that are their corners, places of all scenes' corners, and who is whose."""
-        used, local = np.unique(split_faces(self.object_faces), return_inverse=True)
+        used, local = np.unique(split_faces(self.master_faces), return_inverse=True)
         indices = local.ravel() + len(used) * np.arange(self.scenes)[:, None]
         points = wp.zeros(self.scenes * len(used), dtype=wp.vec3f, device=self.device)
         used, indices = (wp.array(a.ravel(), dtype=wp.int32, device=self.device) for a in (used, indices))
@@ -202,12 +225,12 @@ class SurfaceContact:
     def frictional(self) -> bool:
         return self.law.friction != 0.0
 
-    def _object_shape(self, xi: Array) -> Array:
-        """Shape functions of the object's faces at places ξ (K, 2)."""
+    def _master_shape(self, xi: Array) -> Array:
+        """Shape functions of the master's faces at places ξ (K, 2)."""
         return tri6_shape(np.column_stack([1 - xi.sum(1), xi]))
 
     def _launch(self, kernel: wp.Kernel, *inputs: object) -> None:
-        """One thread a quadrature point; every kernel begins with the gel's faces and their shape functions."""
+        """One thread a quadrature point; every kernel begins with the slave's faces and their shape functions."""
         wp.launch(kernel, len(self.weight), [self.slave, self.shape, self.layout, *inputs], device=self.device)
 
     def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
@@ -228,7 +251,7 @@ class SurfaceContact:
         else:
             self._tree.refit()
         pairing = [self.overhang, self.face, self.xi, self.normal, self.gap]
-        self._launch(closest_points, x, self._tree.id, self.master, self.corners, reach, *pairing)
+        self._launch(closest_points, x, self._tree.id, self.master, self.corners, self.ends, reach, *pairing)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""
@@ -295,8 +318,8 @@ class SurfaceContact:
     def _relative_motion(self, points: NDArray[np.integer], vector: Array, face: NDArray[np.int32], xi: Array,
                          equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:  # fmt: skip
         """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place ξ on an object's face)."""
-        nodes = np.concatenate([self.gel_faces[points // self.points], self.object_faces[face]], axis=1)
-        weights = np.concatenate([self.shape_values[points % self.points], -self._object_shape(xi)], axis=1)
+        nodes = np.concatenate([self.slave_faces[points // self.points], self.master_faces[face]], axis=1)
+        weights = np.concatenate([self.shape_values[points % self.points], -self._master_shape(xi)], axis=1)
         columns = equation[nodes, :3]
         values = weights[:, :, None] * vector[:, None, :]
         free = columns >= 0
@@ -317,8 +340,8 @@ class SurfaceContact:
         anchor, normal, now = self.anchor_face.numpy(), self.normal.numpy(), x.numpy()
         held = np.flatnonzero((anchor >= 0) & (self.traction.numpy() != 0.0).any(axis=1))
         xi = self.anchor_xi.numpy()[held]
-        place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.gel_faces[held // self.points]])
-        touched = np.einsum("qn,qni->qi", self._object_shape(xi), now[self.object_faces[anchor[held]]])
+        place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.slave_faces[held // self.points]])
+        touched = np.einsum("qn,qni->qi", self._master_shape(xi), now[self.master_faces[anchor[held]]])
         along = place - touched
         found = np.zeros((len(anchor), 3))
         found[held] = along - (along * normal[held]).sum(axis=1, keepdims=True) * normal[held]
@@ -338,7 +361,7 @@ class SurfaceContact:
         self.anchor_xi.assign(self.xi)
 
     def set_multipliers(self, at_vertices: Array) -> None:
-        """Sets λ and λ_t [kPa] at the gel's face vertices, (V, 4); negative pressure becomes 0."""
+        """Sets λ and λ_t [kPa] at the slave's face vertices, (V, 4); negative pressure becomes 0."""
         self.multipliers = at_vertices.copy()
         self.multipliers[:, 0] = np.maximum(at_vertices[:, 0], 0.0)
         at_points = self._at_points(self.multipliers)
@@ -347,11 +370,11 @@ class SurfaceContact:
             self.shift.assign(-at_points[:, 1:] - self.kept)
 
     def _at_points(self, at_vertices: Array) -> Array:
-        """Linear functions over the gel's faces, (V, C), at the quadrature points, (P, C)."""
+        """Linear functions over the slave's faces, (V, C), at the quadrature points, (P, C)."""
         return np.einsum("qa,fac->fqc", self._bary, at_vertices[self._corner]).reshape(-1, at_vertices.shape[1])
 
     def augment(self) -> None:
-        """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the gel's faces."""
+        """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the slave's faces."""
         tractions = self.pressure.numpy()[:, None]
         if self.frictional:
             tractions = np.concatenate([tractions, self.traction.numpy()], axis=1)
@@ -404,7 +427,7 @@ class SurfaceContact:
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (gel, object) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
-        gel_face = np.arange(len(self.weight)) // self.points % len(self.gel_faces)
+        gel_face = np.arange(len(self.weight)) // self.points % len(self.slave_faces)
         gap, face = self.gap.numpy(), self.face.numpy()
         near = (gap < margin) & (face >= 0)
         slave, master = gel_face[near], face[near]
@@ -412,18 +435,18 @@ class SurfaceContact:
             anchor = self.anchor_face.numpy()
             held = (anchor >= 0) & near
             slave, master = np.append(slave, gel_face[held]), np.append(master, anchor[held])
-        touching = sp.csr_matrix((np.ones(len(slave), bool), (slave, master)), shape=(len(self.gel_faces), len(self.object_faces)))
+        touching = sp.csr_matrix((np.ones(len(slave), bool), (slave, master)), shape=(len(self.slave_faces), len(self.master_faces)))
         gel_nodes, nodes_around = self._incidence
         coupled = (gel_nodes @ (touching @ nodes_around)).tocoo()
         return coupled.row, coupled.col
 
     @cached_property
     def _incidence(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """The gel's nodes against its faces, and the object's faces against the nodes of all faces that share a vertex with them."""
+        """The slave's nodes against its faces, and the master's faces against the nodes of all faces that share a vertex with them."""
 
         def incidence(faces: NDArray[np.int32]) -> sp.csr_matrix:
             rows = np.repeat(np.arange(len(faces)), faces.shape[1])
             return sp.csr_matrix((np.ones(rows.size, bool), (rows, faces.ravel())))
 
-        corners = incidence(self.object_faces[:, : self.CORNERS])
-        return incidence(self.gel_faces).T.tocsr(), corners @ corners.T @ incidence(self.object_faces)
+        corners = incidence(self.master_faces[:, : self.CORNERS])
+        return incidence(self.slave_faces).T.tocsr(), corners @ corners.T @ incidence(self.master_faces)

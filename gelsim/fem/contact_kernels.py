@@ -17,7 +17,7 @@ vec6d = wp.types.vector(length=6, dtype=wp.float64)
 
 @wp.struct
 class Layout:
-    """How points and nodes are numbered: `points` a face, `faces` of the gel and `nodes` of both bodies a scene."""
+    """How points and nodes are numbered: `points` a face, `faces` that have points and `nodes` of both bodies a scene."""
 
     points: wp.int32
     faces: wp.int32
@@ -55,8 +55,8 @@ def scene_of(layout: Layout, i: wp.int32) -> wp.int32:
 
 
 @wp.func
-def gel_face(layout: Layout, i: wp.int32) -> wp.int32:
-    """The face of point i, in its scene's numbering."""
+def slave_face(layout: Layout, i: wp.int32) -> wp.int32:
+    """The face that point i lies on, in its scene's numbering."""
     return (i // layout.points) % layout.faces
 
 
@@ -122,6 +122,16 @@ def within_face(xi: wp.vec2d) -> wp.float64:
 
 
 @wp.func
+def on_sides(xi: wp.vec2d, sides: wp.int32) -> wp.bool:
+    """Whether a place that `clamp_to_face` put on the border lies on one of some sides: bits 1, 2, 4 for those from corner 0, 1, 2 on."""
+    zero = wp.float64(0.0)
+    first = (sides & 1) != 0 and xi[1] == zero
+    second = (sides & 2) != 0 and wp.float64(1.0) - xi[0] - xi[1] == zero
+    third = (sides & 4) != 0 and xi[0] == zero
+    return first or second or third
+
+
+@wp.func
 def penalty_pressure(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     if s <= wp.float64(0.0):
         return wp.float64(0.0)
@@ -158,7 +168,8 @@ def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32
 @wp.kernel(enable_backward=False)
 def closest_points(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
-    mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), reach: wp.float32,
+    mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), ends: wp.array(dtype=wp.int32),
+    reach: wp.float32,
     overhang: wp.array(dtype=wp.float64), face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
 ):  # fmt: skip
@@ -166,11 +177,12 @@ def closest_points(
 
     Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
     A point whose place is on the border lies beside its face, most often beside a rim, and is not frozen to it: a curved face goes on
-    beyond its rim as a parabola that may cut into the gel tenths of a millimetre deep.
+    beyond its rim as a parabola that may cut into the gel tenths of a millimetre deep. Beside a side in `ends` there is no surface
+    any more.
     """
     i = wp.tid()
     base = scene_of(layout, i) * layout.nodes
-    position = on_face(x, base, slave, gel_face(layout, i), shape[i % layout.points])
+    position = on_face(x, base, slave, slave_face(layout, i), shape[i % layout.points])
     f = face[i]
     xi = xi_out[i]
     kept = bool(False)
@@ -200,6 +212,8 @@ def closest_points(
             free = step_to_foot(position, x, base, master, f, xi)
             xi = clamp_to_face(free)
             clamped = wp.length_sq(free - xi) > wp.float64(1.0e-12)
+        if clamped and on_sides(xi, ends[f]):
+            return
     n = wp.normalize(wp.cross(on_face(x, base, master, f, tri6_d1(xi)), on_face(x, base, master, f, tri6_d2(xi))))
     r = position - on_face(x, base, master, f, tri6(xi))
     d = wp.length(r)
@@ -232,7 +246,7 @@ def contact_force(
         m = shape[i % layout.points]
         n = tri6(xi[i])
         for a in range(6):
-            wp.atomic_add(force, base + slave[gel_face(layout, i), a], -m[a] * t)
+            wp.atomic_add(force, base + slave[slave_face(layout, i), a], -m[a] * t)
             wp.atomic_add(force, base + master[face[i], a], n[a] * t)
 
 
@@ -260,7 +274,7 @@ def friction_force(
         return
     m = shape[i % layout.points]
     s = tri6(anchor_xi[i])
-    position = on_face(x, base, slave, gel_face(layout, i), m)
+    position = on_face(x, base, slave, slave_face(layout, i), m)
     t = slip_trial(x, base, position, master, anchor_face[i], s, normal[i], shift[i], stick[i // layout.points])
     size = wp.length(t)
     mu = friction[scene_of(layout, i)]
@@ -268,7 +282,7 @@ def friction_force(
         t = (mu * pressure[i] / size) * t
     traction[i] = -t
     for a in range(6):
-        wp.atomic_add(force, base + slave[gel_face(layout, i), a], (weight[i] * m[a]) * t)
+        wp.atomic_add(force, base + slave[slave_face(layout, i), a], (weight[i] * m[a]) * t)
         wp.atomic_add(force, base + master[anchor_face[i], a], (-weight[i] * s[a]) * t)
 
 
@@ -335,7 +349,7 @@ def contact_tangent(
         da1 = wp.float64(0.0)
         da2 = wp.float64(0.0)
         if a < 6:
-            na = base + slave[gel_face(layout, i), a]
+            na = base + slave[slave_face(layout, i), a]
             ca = m[a]
         else:
             na = base + master[f, a - 6]
@@ -348,7 +362,7 @@ def contact_tangent(
             db1 = wp.float64(0.0)
             db2 = wp.float64(0.0)
             if b < 6:
-                nb = base + slave[gel_face(layout, i), b]
+                nb = base + slave[slave_face(layout, i), b]
                 cb = m[b]
             else:
                 nb = base + master[f, b - 6]
@@ -377,7 +391,7 @@ def friction_tangent(
     s = tri6(anchor_xi[i])
     n = normal[i]
     kt = stick[i // layout.points]
-    t = slip_trial(x, base, on_face(x, base, slave, gel_face(layout, i), m), master, anchor_face[i], s, n, shift[i], kt)
+    t = slip_trial(x, base, on_face(x, base, slave, slave_face(layout, i), m), master, anchor_face[i], s, n, shift[i], kt)
     tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
     stiffness = kt * tangential
     size = wp.length(t)
@@ -390,7 +404,7 @@ def friction_tangent(
         na = int(0)
         ca = wp.float64(0.0)
         if a < 6:
-            na = base + slave[gel_face(layout, i), a]
+            na = base + slave[slave_face(layout, i), a]
             ca = m[a]
         else:
             na = base + master[anchor_face[i], a - 6]
@@ -399,7 +413,7 @@ def friction_tangent(
             nb = int(0)
             cb = wp.float64(0.0)
             if b < 6:
-                nb = base + slave[gel_face(layout, i), b]
+                nb = base + slave[slave_face(layout, i), b]
                 cb = m[b]
             else:
                 nb = base + master[anchor_face[i], b - 6]
@@ -446,7 +460,7 @@ def slip_product(
     k = stiffness[i // layout.points]
     s = multiplier[i] / k - gap[i]
     m = shape[i % layout.points]
-    gel = gel_face(layout, i)
+    gel = slave_face(layout, i)
     near = tri6(xi[i])
     closing = wp.vec3d()
     for a in range(6):

@@ -109,8 +109,8 @@ class Newton:
                 if self.contact.add_tangent(self.x, self.pattern.pairs, values, geometric):
                     solids.add_tangent(self.pattern.pairs, values)
                     return values.numpy()  # type: ignore[return-value]
-            gel, body = self.contact.node_pairs(margin=0.4)
-            keys = np.union1d(solids.keys, pair_keys(gel, body, solids.node_count))
+            slave, master = self.contact.node_pairs(margin=0.4)
+            keys = np.union1d(solids.keys, pair_keys(slave, master, solids.node_count))
             self.pattern = build_pattern(solids.free, keys, solids.device)
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")

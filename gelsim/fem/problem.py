@@ -43,13 +43,16 @@ class PressProblem:
     """A scene made ready for Newton: numbering, supports, materials, contact.
 
     `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`. `held`: the part of κ, in shear moduli, by
-    which volume is held at points (`Solids.hold_volume`), of half of κ at most.
+    which volume is held at points (`Solids.hold_volume`), of half of κ at most. `on_object`: contact's points are those of the object's
+    faces, and the gel is their master; else the other way round.
     """
+
+    on_object = False
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
                  part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
-                 held: float = 0.0, tolerance: float | None = None) -> None:  # fmt: skip
+                 held: float = 0.0, on_object: bool = False, tolerance: float | None = None) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -110,8 +113,10 @@ class PressProblem:
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM[scene.fidelity], friction, STICK_PER_MODULUS * softest)
-        faces = (object_faces + n).astype(np.int32)
-        self.contact = SurfaceContact(gel.groups["coated"], faces, rest, self.law, device, contact_points, gel.symmetry)
+        self.on_object = on_object
+        pair = gel.groups["coated"], (object_faces + n).astype(np.int32)
+        slave, master = reversed(pair) if on_object else pair
+        self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
         self.copies = 2 ** len(gel.symmetry)
 
@@ -144,7 +149,7 @@ class PressProblem:
         pressure = c.pressure.numpy()[:, None]
         local = pressure * c.normal.numpy() + (c.traction.numpy() if c.frictional else 0.0)
         force = (c.rest_weight[:, None] * np.where(pressure > 0, local, 0.0)).sum(0) * self.copies
-        return self._across_planes(force)
+        return self._across_planes(-force if self.on_object else force)
 
     def support_force(self) -> Array:
         """Reaction [N] of the window on the gel, for the force balance: equal and opposite to `contact_force` at equilibrium."""

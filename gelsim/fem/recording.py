@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
+from gelsim.fem.contact import rest_weights
 from gelsim.fem.elements import triangle_quadrature
 from gelsim.fem.indicator import (
     DISTORTED,
@@ -179,31 +180,35 @@ def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
     """
     contact, solids = problem.contact, problem.solids
     x = solids.rest + solids.displacement.numpy()
-    weight = contact.rest_weight.reshape(len(contact.gel_faces), -1)
+    weight = contact.rest_weight.reshape(len(contact.slave_faces), -1)
     pressure = np.asarray(contact.pressure.numpy(), np.float64).reshape(weight.shape)
     # augmentation leaves half the penalty's smoothing as overlap
     opening = contact.gap.numpy().reshape(weight.shape) + problem.law.smoothing / 2
-    area = touching_area(x, contact.gel_faces, opening, pressure) * problem.copies / MM**2
-    hats = _hats(triangle_quadrature(contact.points)[0])
-    top = np.einsum("fq,qa->fa", weight * pressure, hats)
-    bottom = np.einsum("fq,qa->fa", weight, hats)
-    total = np.bincount(contact.gel_faces.ravel(), bottom.ravel(), solids.node_count)
-    mean = np.bincount(contact.gel_faces.ravel(), top.ravel(), solids.node_count) / np.where(total > 0, total, 1.0)
+    area = touching_area(x, contact.slave_faces, opening, pressure) * problem.copies / MM**2
+    gel_faces, bary = problem.gel.groups["coated"], triangle_quadrature(contact.points)[0]
+    if problem.on_object:
+        touching = np.flatnonzero(pressure > 0)
+        xi = contact.xi.numpy()[touching]
+        face = np.asarray(contact.face.numpy(), np.int32)[touching]
+        nodes = contact.master_faces[face]
+        # a point may lie a little beside the face that it keeps
+        place = np.maximum(np.column_stack([1 - xi.sum(1), xi]), 0.0)
+        top = (weight * pressure).ravel()[touching, None] * _hats(place / place.sum(1, keepdims=True))
+        weight = rest_weights(solids.rest, gel_faces, contact.points)
+    else:
+        nodes, top = gel_faces, (weight * pressure) @ _hats(bary)
+    total = np.bincount(gel_faces.ravel(), (weight @ _hats(bary)).ravel(), solids.node_count)
+    mean = np.bincount(nodes.ravel(), top.ravel(), solids.node_count) / np.where(total > 0, total, 1.0)
     return float(area), mean / KPA
 
 
 def _hats(bary: Array) -> Array:
     """Piecewise linear hat functions of the four sub-triangles of a six-node face, (Q, 6): positive weights to average with."""
     values = np.zeros((len(bary), 6))
-    for q, b in enumerate(bary):
-        corner = int(np.argmax(b))
-        if b[corner] >= 0.5:
-            others = [(corner + 1) % 3, (corner + 2) % 3]
-            values[q, corner] = 2 * b[corner] - 1
-            for o in others:
-                values[q, 3 + {(0, 1): 0, (1, 2): 1, (0, 2): 2}[(min(corner, o), max(corner, o))]] = 2 * b[o]
-        else:
-            values[q, 3:] = [1 - 2 * b[2], 1 - 2 * b[0], 1 - 2 * b[1]]
+    values[:, :3] = np.maximum(2 * bary - 1, 0.0)
+    for side, (one, other, away) in enumerate(((0, 1, 2), (1, 2, 0), (2, 0, 1))):
+        a, b = bary[:, one], bary[:, other]
+        values[:, 3 + side] = np.where(a >= 0.5, 2 * b, np.where(b >= 0.5, 2 * a, np.maximum(1 - 2 * bary[:, away], 0.0)))
     return values
 
 

@@ -79,7 +79,7 @@ class Adjoint:
         free = solids.free.copy()
         free[problem.driven, :3] = True
         pairs = pair_keys(*contact.node_pairs(margin=0.2), solids.node_count)
-        keys = np.unique(np.concatenate([solids.keys, pairs, element_pairs(contact.object_faces, solids.node_count)]))
+        keys = np.unique(np.concatenate([solids.keys, pairs, element_pairs(contact.master_faces, solids.node_count)]))
         pattern = build_pattern(free, keys, solids.device)
         values = wp.zeros(len(pattern.indices), dtype=wp.float64, device=solids.device)
         assert contact.add_tangent(newton.x, pattern.pairs, values, geometric=True)

@@ -85,7 +85,7 @@ def local(pair: Pair, x: Array, i: int) -> tuple[np.ndarray, tuple]:  # type: ig
     """The twelve nodes of point i, and what the twin needs to know of it."""
     c = pair.contact
     face = int(c.face.numpy()[i])
-    nodes = np.concatenate([c.gel_faces[i // c.points], c.object_faces[face]])
+    nodes = np.concatenate([c.slave_faces[i // c.points], c.master_faces[face]])
     k = float(c.stiffness.numpy()[i // c.points])
     return nodes, (x[nodes], c.shape_values[i % c.points], c.xi.numpy()[i], float(c.multiplier.numpy()[i]), k, SMOOTHING)
 
@@ -203,14 +203,14 @@ def test_friction_force_matches_the_twin(friction: float) -> None:
     wanted = np.zeros_like(x)
     for i in np.flatnonzero(c.pressure.numpy() > 0):
         _, (nodes, shape, *_rest) = local(pair, x, i)
-        anchor, xi = c.object_faces[c.anchor_face.numpy()[i]], c.anchor_xi.numpy()[i]
+        anchor, xi = c.master_faces[c.anchor_face.numpy()[i]], c.anchor_xi.numpy()[i]
         there = reference.tri6_shape(np.array([1 - xi[0] - xi[1], xi[0], xi[1]]))
         traction = reference.friction_traction(
             shape @ nodes[:6] - there @ x[anchor], c.normal.numpy()[i], c.shift.numpy()[i], float(c.stick.numpy()[i // c.points]), friction,
             c.pressure.numpy()[i],
         )  # fmt: skip
         weight = c.rest_weight[i]
-        np.add.at(wanted, c.gel_faces[i // c.points], weight * np.outer(shape, traction))
+        np.add.at(wanted, c.slave_faces[i // c.points], weight * np.outer(shape, traction))
         np.add.at(wanted, anchor, -weight * np.outer(there, traction))
     found = force - normal_only
     assert np.abs(wanted).max() > 0.02
@@ -264,7 +264,7 @@ def test_freezing_begins_no_contact_beside_a_rim() -> None:
     x[pair.gel, 0] += rim
     contact, x_wp = pair.contact, wp.array(x, dtype=wp.vec3d, device="cpu")
     contact.update(x_wp, 1.0)
-    places = np.einsum("qn,fni->fqi", contact.shape_values, x[contact.gel_faces]).reshape(-1, 3)
+    places = np.einsum("qn,fni->fqi", contact.shape_values, x[contact.slave_faces]).reshape(-1, 3)
     gap, face, beyond = contact.gap.numpy().copy(), contact.face.numpy().copy(), places[:, 0] - rim
     below = 0.05 - 0.25 * (2 * rim * beyond + beyond**2)
     assert (below[(face >= 0) & (beyond > 0.0)] < -0.1).sum() > 10, "the parabola must cut into paired points, or nothing is shown"
@@ -312,3 +312,25 @@ def test_a_state_is_returned_to() -> None:
     # feet are sought from where they were: rounding of a gap of 0.1 mm in lengths of 1 mm
     assert back(True) <= 1e3 * EPS
     assert back(False) > 0.01
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_beside_the_gels_border_nothing_is_touched(ends: bool) -> None:
+    """Points of an object's face that lies half over a gel, half beyond it, both 0.1 mm deep."""
+    line = np.linspace(0.0, 2.0, 3) * MM
+    gel = box_mesh(line, line, np.array([-1.0, 0.0]) * MM, "bonded", "coated", "side").surface("coated")
+    body = quadratic_faces(np.array([[1.2, 0.5, -0.1], [1.2, 1.5, -0.1], [2.8, 1.0, -0.1]]), np.array([[0, 1, 2]], np.int32))
+    x = np.vstack([gel.nodes / MM, body.nodes])
+    faces = (body.faces + len(gel.nodes)).astype(np.int32)
+    contact = SurfaceContact(faces, gel.faces, x, ContactLaw(K, SMOOTHING, 0.0, 0.0), "cpu", 12, frozenset("x"), ends)
+    contact.update(wp.array(x, dtype=wp.vec3d, device="cpu"), 1.0)
+    place = np.einsum("qn,ni->qi", contact.shape_values, body.nodes)
+    above, gap = place[:, 0] < 2.0, contact.gap.numpy()
+    assert 4 <= above.sum() <= 8 and gap[above] == pytest.approx(-0.1)
+    near = ~above & (place[:, 0] < 2.08)
+    assert near.any()
+    # negative control: a border that is none for the search leaves points just beyond it in the gel
+    assert (gap[near] > 1.0).all() if ends else (gap[near] < 0.0).all()
+    # of the eight sides of the gel's border two are on the mirror plane
+    sides = contact.ends.numpy()
+    assert sum(((sides & bit) > 0).sum() for bit in (1, 2, 4)) == (6 if ends else 0)

@@ -218,7 +218,7 @@ def test_freezing_begins_no_contact_beside_a_rim() -> None:
     contact, at = pair.contact, wp.array(x, dtype=wp.vec3d, device="cpu")
     contact.update(at, 1.0)
     gap, face = contact.gap.numpy().copy(), contact.face.numpy().copy()
-    place = np.einsum("pn,pn->p", np.tile(contact.shape_values, (len(contact.gel_faces), 1)), x[np.repeat(contact.gel_faces, 4, 0), 0])
+    place = np.einsum("pn,pn->p", np.tile(contact.shape_values, (len(contact.slave_faces), 1)), x[np.repeat(contact.slave_faces, 4, 0), 0])
     beside = (place > rim) & (np.abs(gap) < 0.1)
     assert (0.01 + 0.25 * (rim**2 - place[beside] ** 2) < -0.01).any(), "the parabola must cut into paired points, or nothing is shown"
     contact.update(at, 1.0, freeze=True)

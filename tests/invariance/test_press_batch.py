@@ -12,7 +12,7 @@ import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, solve_batch
+from gelsim.fem import GRIP, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, find_mkl
@@ -106,17 +106,17 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
     assert same_force(single, kept)
 
 
-def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `solve_press` does: those that failed, and one to a force that found no equilibrium on its way. The other is left as it is."""
-    asked = []
+    asked: list[list[tuple[bool, int, float, float]]] = []
 
     def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
-        asked.append([(problem.contact.points, problem.law.stiffness, problem.law.friction) for problem in problems])
+        asked.append([(p.on_object, p.contact.points, p.law.stiffness, p.law.friction) for p in problems])
         progress(len(problems), len(problems))
-        # in the second try one fails again that has the friction of the third, and one that has less
         lost, done = (SolveStatus.CONVERGED, PressEnd.LOST), (SolveStatus.CONVERGED, PressEnd.DEPTH)
         stopped = (SolveStatus.MAX_ITERATIONS, PressEnd.LOST)
-        ends = [[(SolveStatus.CONVERGED, PressEnd.LIMIT), stopped, lost, lost], [done, lost, lost], [done]][len(asked) - 1]
+        first = [(SolveStatus.CONVERGED, PressEnd.LIMIT), stopped, lost, lost]
+        ends = [first, [done, lost], [lost], [done], [done]][len(asked) - 1]
         farther = len(asked) * solved.approach
         return [replace(solved, status=status, approach=farther, info={"ended_by": end}) for status, end in ends]
 
@@ -126,15 +126,28 @@ def test_what_fails_is_tried_again_with_more_contact_points(monkeypatch: pytest.
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
     bodies = [(one, *pipeline.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
-    assert [[points for points, *_ in tries] for tries in asked] == [[6, 6, 6, 6], [12, 12, 12], [12]]
-    assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
+    # what friction holds has its second try with points on the object
+    plain, held, turned = (False, 6), (False, 12), (True, 6)
+    assert [[one[:2] for one in tries] for tries in asked] == [[plain] * 4, [held] * 2, [turned], [held], [held]]
+    assert asked[1][0][2] == asked[0][1][2] != asked[0][0][2]  # the second one's, by the softer body
+    assert [press.info["tried"] for press in presses] == [1, 2, 3, 3]
     assert [press.info["contact_points"] for press in presses] == [6, 12, 12, 12]
-    # what sticks slides at a large friction then, what nothing holds has some the third time; both say so
-    assert [[friction for *_, friction in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, GRIP, 0.1], [GRIP]]
+    # what sticks slides at a large friction then, what nothing holds has some the last time; both say so
+    assert [[one[3] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, 0.1], [GRIP], [GRIP], [GRIP]]
     assert [press.info["friction_coefficient"] for press in presses] == [0.0, 10.0, GRIP, GRIP]
     said = ["no equilibrium was found on its way: solved with" in str(press.info.get("warnings")) for press in presses]
     assert said == [False, True, False, True]
-    assert told == [(4, 4), (4, 4), (4, 4)]
+    assert told[-1] == (4, 4)
+
+
+def test_points_on_a_tip_that_friction_holds_come_first() -> None:
+    def sides(body: dict[str, object], friction: float | str = 0.5) -> list[bool]:
+        return [way.on_object for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
+
+    assert all(sides({"shape": shape})[0] for shape in ("corner", "cone"))
+    assert sides({"shape": "hemisphere"})[:2] == sides({"shape": "edge"})[:2] == [False, True]
+    # a rigid one's faces are as coarse as its shape lets them be
+    assert not any(sides({"shape": "corner", "rigid": True}) + sides({"shape": "corner"}, 0.1) + sides({"shape": "corner"}, "stick"))
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")

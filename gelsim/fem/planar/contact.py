@@ -39,7 +39,7 @@ class EdgeContact(SurfaceContact):
     def __init__(self, gel_edges: NDArray[np.int32], object_edges: NDArray[np.int32], rest: Array, law: ContactLaw, turned: bool,
                  points: int = 4) -> None:  # fmt: skip
         self.law, self.device, self.points = law, "cpu", points
-        self.gel_faces, self.object_faces = gel_edges, object_edges
+        self.slave_faces, self.master_faces = gel_edges, object_edges
         place, rule = edge_quadrature(points)
         self.shape_values = edge_shape(place)
         corners = rest[gel_edges][..., [0, 2]]
@@ -91,7 +91,7 @@ class EdgeContact(SurfaceContact):
         self.kept = np.zeros((count, 3))
         self._slots: tuple[PairPattern, tuple[Array, ...]] | None = None
 
-    def _object_shape(self, xi: Array) -> Array:
+    def _master_shape(self, xi: Array) -> Array:
         return edge_shape(xi[:, 0])
 
     # ------------------------------------------------------------------------------------------------------------ closest points
@@ -99,7 +99,7 @@ class EdgeContact(SurfaceContact):
         flat = x.numpy()[:, [0, 2]]
         place = np.einsum("pn,pni->pi", self._m, flat[self._slave])
         face, xi, gap = self.face.numpy(), self.xi.numpy(), self.gap.numpy()
-        edges = flat[self.object_faces]
+        edges = flat[self.master_faces]
 
         keep = np.flatnonzero((face >= 0) & (np.abs(gap) < NEAR))
         found, offset = _feet(place[keep], edges[face[keep]], xi[keep, 0], clamp=False)
@@ -152,8 +152,8 @@ class EdgeContact(SurfaceContact):
 
     def _trial(self, now: Array, held: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """Trial traction λ_t + k_t e in the tangent plane, nodes (K, 6) and coefficients of the slip, at points held by friction."""
-        shape = self._object_shape(self.anchor_xi.numpy()[held])
-        nodes = np.concatenate([self._slave[held], self.object_faces[self.anchor_face.numpy()[held]]], axis=1)
+        shape = self._master_shape(self.anchor_xi.numpy()[held])
+        nodes = np.concatenate([self._slave[held], self.master_faces[self.anchor_face.numpy()[held]]], axis=1)
         share = np.concatenate([self._m[held], -shape], axis=1)
         trial = self.shift.numpy()[held] + self._kt[held, None] * np.einsum("pn,pni->pi", share, now[nodes])
         normal = self.normal.numpy()[held]
@@ -167,8 +167,8 @@ class EdgeContact(SurfaceContact):
         self.pressure.numpy()[:] = pressure
         active = np.flatnonzero(pressure > 0)
         load = (self.rest_weight[active] * pressure[active])[:, None] * self.normal.numpy()[active]
-        nodes = np.concatenate([self._slave[active], self.object_faces[self.face.numpy()[active]]], axis=1)
-        share = np.concatenate([-self._m[active], self._object_shape(self.xi.numpy()[active])], axis=1)
+        nodes = np.concatenate([self._slave[active], self.master_faces[self.face.numpy()[active]]], axis=1)
+        share = np.concatenate([-self._m[active], self._master_shape(self.xi.numpy()[active])], axis=1)
         np.add.at(total, nodes, share[:, :, None] * load[:, None, :])
         if self.frictional:
             traction = self.traction.numpy()
@@ -190,7 +190,7 @@ class EdgeContact(SurfaceContact):
         pressure, slope = self._penalty()
         active = np.flatnonzero(slope > 0)
         face, xi, normal = self.face.numpy()[active], self.xi.numpy()[active, 0], self.normal.numpy()[active][:, [0, 2]]
-        edges = now[self.object_faces[face]][..., [0, 2]]
+        edges = now[self.master_faces[face]][..., [0, 2]]
         along = np.einsum("pn,pni->pi", edge_gradient(xi), edges)
         bend = (np.einsum("n,pni->pi", EDGE_CURVATURE, edges) * normal).sum(1)
         share = np.concatenate([self._m[active], -edge_shape(xi)], axis=1)
@@ -206,7 +206,7 @@ class EdgeContact(SurfaceContact):
         if geometric:
             side = t[:, :, None] * (n + 0.5 * bend[:, None] * t)[:, None, :]
             block += (weight * pressure[active])[:, None, None] * (side + np.swapaxes(side, 1, 2))
-        nodes = np.concatenate([self._slave[active], self.object_faces[face]], axis=1)
+        nodes = np.concatenate([self._slave[active], self.master_faces[face]], axis=1)
         if not self._scatter(pattern, values, nodes, block):
             return False
         if not self.frictional:

@@ -40,7 +40,7 @@ class PlanarRecorder(Recorder):
         """Area in contact [m²] of the whole body, projected on the window, and pressure [Pa] at all nodes."""
         problem, contact = self.problem, self.problem.contact
         place, _ = edge_quadrature(contact.points)
-        x = (problem.solids.rest + problem.solids.displacement.numpy())[contact.gel_faces][..., 0]
+        x = (problem.solids.rest + problem.solids.displacement.numpy())[contact.slave_faces][..., 0]
         pressure = np.asarray(contact.pressure.numpy(), np.float64)
         # augmentation leaves half the penalty's smoothing as overlap
         opening = contact.gap.numpy().reshape(len(x), -1) + problem.law.smoothing / 2
@@ -49,8 +49,8 @@ class PlanarRecorder(Recorder):
         area = ((end**2 - start**2) / 2 if problem.turned else end - start).sum() * problem.copies / MM**2
         # hats of the two halves of an edge: positive weights to average with
         hats = np.stack([np.maximum(1 - 2 * place, 0), np.maximum(2 * place - 1, 0), 1 - np.abs(2 * place - 1)], axis=1)
-        weight = contact.rest_weight.reshape(len(contact.gel_faces), -1)
-        nodes, count = contact.gel_faces.ravel(), problem.solids.node_count
+        weight = contact.rest_weight.reshape(len(contact.slave_faces), -1)
+        nodes, count = contact.slave_faces.ravel(), problem.solids.node_count
         top = np.bincount(nodes, (weight * pressure.reshape(weight.shape) @ hats).ravel(), count)
         bottom = np.bincount(nodes, (weight @ hats).ravel(), count)
         return float(area), top / np.where(bottom > 0, bottom, 1.0) / KPA

@@ -1,0 +1,70 @@
+"""Contact's points on the gel's faces or on the object's: the same press, but for what two discretisations of it differ by."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gelsim import pipeline
+from gelsim.errors import SolveStatus
+from gelsim.fem.problem import PressProblem
+from gelsim.fem.quasistatic import run_press
+from gelsim.materials import gel_material, object_material
+from gelsim.results import Deformation
+from gelsim.scene_file import build_scene
+
+# At `balanced` each is within 2 % of the force and 5 µm of the surface of a converged solution (docs/validation.md, Accuracy).
+FORCE, SURFACE = 0.02, 5e-6
+
+
+def press(on_object: bool, **contact: object) -> tuple[PressProblem, Deformation]:
+    scene = build_scene(
+        {
+            "fidelity": "balanced",
+            "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0},
+            "object": {"shape": "hemisphere", "radius_mm": 5.0, "youngs_modulus_kpa": 200.0},
+            "contact": contact,
+            "press": {"depth_mm": 0.8, "force_n": "none", "frames": 5, "symmetry": "mirror", "shear_mm": [0.0, 0.0]},
+        }
+    )
+    gel, body, placement = pipeline.bodies(scene)
+    problem = PressProblem(scene, gel, body, placement, gel_material(scene), object_material(scene), "cpu", on_object=on_object)
+    return problem, run_press(problem)
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.5])
+def both(request: pytest.FixtureRequest) -> list[tuple[PressProblem, Deformation]]:
+    return [press(on_object, friction_coefficient=request.param) for on_object in (False, True)]
+
+
+@pytest.mark.slow
+def test_the_same_press(both: Any) -> None:
+    (_, one), (_, other) = both
+    assert one.status is other.status is SolveStatus.CONVERGED
+    force = np.abs(one.force[1:, 2])
+    assert one.force[-1, 2] < -0.1  # the gel is pushed down
+    assert np.abs(other.force[1:, 2] + force).max() < FORCE * force.max()
+    apart = np.linalg.norm(one.gel.displacement[-1] - other.gel.displacement[-1], axis=1)
+    assert np.sqrt(np.mean(apart**2)) < SURFACE
+    # area by the object's points: read to a part of a face, at first touch of one or two
+    assert other.contact_area[-1] == pytest.approx(one.contact_area[-1], rel=0.06)
+    drift = [abs(deformation.info["energy"]["drift"]) for deformation in (one, other)]
+    assert max(drift) < 0.01
+
+
+@pytest.mark.slow
+def test_what_the_points_carry_is_what_the_window_bears(both: Any) -> None:
+    for problem, deformation in both:
+        assert problem.support_force()[2] == pytest.approx(-problem.contact_force()[2], rel=2e-3)
+        # and the pressure at the gel's nodes, over what they stand for, is what all points carry along their normals
+        gel, contact = problem.gel, problem.contact
+        faces = gel.groups["coated"]
+        corners = gel.rest_positions[faces[:, :3]]
+        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        lumped = np.zeros(len(gel.rest_positions))
+        np.add.at(lumped, faces, area[:, None] * np.array([1, 1, 1, 3, 3, 3]) / 12)
+        nodes = np.unique(faces)
+        carried = float((deformation.contact_pressure[-1, : len(nodes)] * lumped[nodes]).sum())
+        assert carried == pytest.approx(1e-3 * float((contact.rest_weight * contact.pressure.numpy()).sum()), rel=0.01)
