@@ -132,7 +132,7 @@ def _remarks(rows: list[Row]) -> str:
         if ratios:
             said.append(
                 f"The force error that presses tell of themselves is {min(ratios):.1f} to {max(ratios):.1f} times the true one of {kind}s "
-                f"(median {np.median(ratios):.1f}), off by more than it says in {sum(ratio < 1 for ratio in ratios)} of {len(ratios)}."
+                f"(median {np.median(ratios):.1f}); {sum(ratio < 1 for ratio in ratios)} of {len(ratios)} are off by more than they tell."
             )
     return " ".join(said)
 

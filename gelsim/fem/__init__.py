@@ -117,7 +117,7 @@ def ways(scene: Scene) -> list[Try]:
     if scene.object.rigid or not held:  # rigid faces need not be as fine as points on them must lie; what slides finds no hold on the gel
         return [PLAIN, HELD, *last]
     on_object = replace(PLAIN, on_object=True)
-    return [on_object, replace(HELD, on_object=True), HELD] if scene.object.shape in TIPS else [PLAIN, on_object, HELD]
+    return [on_object, HELD, replace(HELD, on_object=True)] if scene.object.shape in TIPS else [PLAIN, on_object, HELD]
 
 
 def _discretised(way: Try) -> dict[str, Any]:

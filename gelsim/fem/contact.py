@@ -179,7 +179,7 @@ class SurfaceContact:
             self._projections.append((np.flatnonzero(free), splu(matrix[free][:, free])))
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.kept = np.zeros((count, 3))
-        """Traction on the gel [kPa] beyond the multipliers, of every point."""
+        """Traction on the slave [kPa] beyond the multipliers, of every point."""
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
         self._share()
 
@@ -317,7 +317,7 @@ class SurfaceContact:
 
     def _relative_motion(self, points: NDArray[np.integer], vector: Array, face: NDArray[np.int32], xi: Array,
                          equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:  # fmt: skip
-        """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place ξ on an object's face)."""
+        """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place ξ on a master's face)."""
         nodes = np.concatenate([self.slave_faces[points // self.points], self.master_faces[face]], axis=1)
         weights = np.concatenate([self.shape_values[points % self.points], -self._master_shape(xi)], axis=1)
         columns = equation[nodes, :3]
@@ -333,7 +333,7 @@ class SurfaceContact:
             self._launch(slip_product, *self._normal_inputs(), *slipping, equation, v, out)
 
     def slip(self, x: wp.array) -> Array:
-        """Tangential slip [mm] of every point since the load step began, against the place on the object that it touched then, (P, 3).
+        """Tangential slip [mm] of every point since the load step began, against the place on the master that it touched then, (P, 3).
 
         Zero where friction's traction is.
         """
@@ -426,18 +426,18 @@ class SurfaceContact:
         self.set_multipliers(np.zeros_like(self.multipliers))
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Node pairs (gel, object) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
-        gel_face = np.arange(len(self.weight)) // self.points % len(self.slave_faces)
+        """Node pairs (slave, master) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
+        own_face = np.arange(len(self.weight)) // self.points % len(self.slave_faces)
         gap, face = self.gap.numpy(), self.face.numpy()
         near = (gap < margin) & (face >= 0)
-        slave, master = gel_face[near], face[near]
+        slave, master = own_face[near], face[near]
         if self.frictional:
             anchor = self.anchor_face.numpy()
             held = (anchor >= 0) & near
-            slave, master = np.append(slave, gel_face[held]), np.append(master, anchor[held])
+            slave, master = np.append(slave, own_face[held]), np.append(master, anchor[held])
         touching = sp.csr_matrix((np.ones(len(slave), bool), (slave, master)), shape=(len(self.slave_faces), len(self.master_faces)))
-        gel_nodes, nodes_around = self._incidence
-        coupled = (gel_nodes @ (touching @ nodes_around)).tocoo()
+        own_nodes, nodes_around = self._incidence
+        coupled = (own_nodes @ (touching @ nodes_around)).tocoo()
         return coupled.row, coupled.col
 
     @cached_property

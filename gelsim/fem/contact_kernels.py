@@ -460,14 +460,14 @@ def slip_product(
     k = stiffness[i // layout.points]
     s = multiplier[i] / k - gap[i]
     m = shape[i % layout.points]
-    gel = slave_face(layout, i)
+    own = slave_face(layout, i)
     near = tri6(xi[i])
     closing = wp.vec3d()
     for a in range(6):
-        closing += m[a] * free_vector(v, equation, base + slave[gel, a])
+        closing += m[a] * free_vector(v, equation, base + slave[own, a])
         closing -= near[a] * free_vector(v, equation, base + master[face[i], a])
     pull = (mu * weight[i] * penalty_slope(s, k, eps) * wp.dot(normal[i], closing) / size) * traction[i]
     held = tri6(anchor_xi[i])
     for a in range(6):
-        add_free(out, equation, base + slave[gel, a], m[a] * pull)
+        add_free(out, equation, base + slave[own, a], m[a] * pull)
         add_free(out, equation, base + master[anchor_face[i], a], -held[a] * pull)
