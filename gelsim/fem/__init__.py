@@ -43,8 +43,6 @@ step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
 """Least μ of the last try: a soft tip that nothing holds slides away in its own folds, and Newton with it."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
-TIPS = ("corner", "cone")
-"""Shapes whose folded tip the gel's points slide off: where friction holds it, its own points look for the gel (contact.py)."""
 
 
 def quiet_warp() -> None:
@@ -116,8 +114,7 @@ def ways(scene: Scene) -> list[Try]:
     last = [] if held or isinstance(friction, str) else [GRIPPED]
     if scene.object.rigid or not held:  # rigid faces need not be as fine as points on them must lie; what slides finds no hold on the gel
         return [PLAIN, HELD, *last]
-    on_object = replace(PLAIN, on_object=True)
-    return [on_object, HELD, replace(HELD, on_object=True)] if scene.object.shape in TIPS else [PLAIN, on_object, HELD]
+    return [PLAIN, replace(PLAIN, on_object=True), HELD, replace(HELD, on_object=True)]
 
 
 def _discretised(way: Try) -> dict[str, Any]:

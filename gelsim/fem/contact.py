@@ -21,7 +21,8 @@ which resists a reversal of the slip as well.
 
 Who is which: the master's normals should turn little from face to face. Over an object's sharp tip, whose flanks face away from each
 other, the gel's points find one flank or the other and forces jump; the tip's points on the gel's faces have one normal. Where the object
-is smooth the gel's points are the better ones, as they know where contact ends on the surface that the camera sees (`fem.ways` chooses).
+is smooth the gel's points are the better ones, as they know where contact ends on the surface that the camera sees; they come first
+(`fem.ways`).
 
 A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""
