@@ -65,7 +65,7 @@ from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, MeshSizes, SizeField, c
 from gelsim.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
-_SCHEMA = 2
+_SCHEMA = 3
 """Raise it when the same key would no longer give the same mesh."""
 _WORST_QUALITY = 0.02
 """Smallest mean-ratio quality of a straight tet that is let through; fTetWild's own meshes reach 0.1 to 0.3."""
@@ -302,7 +302,7 @@ def _snapped(vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32
 def _curved(
     nodes: Array, tets: NDArray[np.int32], boundary: NDArray[np.int32], patch: NDArray[np.int64], shape: Solid, vertex_count: int
 ) -> Array:
-    """Mid-side nodes of boundary edges on the exact shape, but for edges whose curving would fold a tet or move the node too far."""
+    """Mid-side nodes of boundary edges on the exact shape, but for those that would fold a tet or move too far (`unfolded`)."""
     member = membership(boundary[:, 3:], patch, len(nodes), len(shape.patches))
     member[:vertex_count] = False
     on = np.flatnonzero(member.any(axis=1))

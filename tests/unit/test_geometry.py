@@ -19,6 +19,7 @@ from gelsim.geometry import (
     split_faces,
     tet_quality,
     tet_volumes,
+    unfolded,
     volume,
 )
 
@@ -132,3 +133,24 @@ def _curved_area(nodes: np.ndarray, faces: np.ndarray) -> float:
     u = np.array(grid)
     weights = face_shape_functions(np.column_stack([1 - u.sum(1), u]))
     return sum(_area(weights @ nodes[face], np.array(cells)) for face in faces)
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.5, 0.8])
+def test_a_tet_under_a_curved_edge_takes_back_a_tenth_of_its_bend(angle: float) -> None:
+    """Two of its faces lie on the unit sphere: with all its middles there it folds at the ends of the edge between them."""
+    a, b = np.sin(0.1), np.sin(angle)
+    nodes, tets = quadratic_tets(
+        np.array([[a, 0, np.cos(0.1)], [-a, 0, np.cos(0.1)], [0, b, np.cos(angle)], [0, -b, np.cos(angle)]]),
+        np.array([[0, 1, 2, 3]], np.int32),
+    )
+    inner = 4 + int(np.argmin(np.linalg.norm(nodes[4:], axis=1)))  # the edge below both faces
+    on = np.array([node for node in range(4, 10) if node != inner])
+    curved = nodes.copy()
+    curved[on] /= np.linalg.norm(curved[on], axis=1)[:, None]
+    reference = 6.0 * tet_volumes(nodes, tets)
+    assert jacobian_determinants(curved, tets).min() < 0.1 * reference
+    out = unfolded(curved, tets, 1.0)
+    assert jacobian_determinants(out, tets).min() >= 0.1 * reference
+    assert out[on] - nodes[on] == pytest.approx(0.9 * (curved[on] - nodes[on]), rel=1e-12)
+    straight = unfolded(curved, tets, 0.0)
+    assert straight == pytest.approx(nodes, abs=1e-15)

@@ -60,7 +60,7 @@ def test_objects(shape: str, expected: float | None) -> None:
     skin = mesh.surface("contact").nodes
     off = np.linalg.norm(project(Body(shape=shape, height_mm=12.0), skin) - skin, axis=1)
     assert np.median(off) < 1e-12
-    # Vertices lie on the shape to rounding; a middle that could not be bent stays on its chord.
+    # Vertices lie on the shape to rounding; a middle that would fold a tet is bent less.
     vertex = np.unique(mesh.groups["contact"][:, :3])
     p = mesh.rest_positions[vertex]
     assert np.linalg.norm(project(Body(shape=shape, height_mm=12.0), p) - p, axis=1).max() < 1e-9
