@@ -7,6 +7,7 @@ cases of any sections, one line of results.jsonl each as soon as it is known, so
 
 SECTIONS = {
     "accuracy": "gelsim.bench.accuracy",
+    "target": "gelsim.bench.target",
     "convergence": "gelsim.bench.convergence",
     "closed-forms": "gelsim.bench.closed_forms",
     "unlisted": "gelsim.bench.unlisted",

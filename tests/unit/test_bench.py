@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability
+from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability, target
 from gelsim.bench.section import Case, Options, Section
 from gelsim.errors import PressEnd, SceneError
 from gelsim.scene_file import build_scene
@@ -241,6 +242,26 @@ def test_accuracy_is_held_against_its_bounds(field: str, value: float, verdict: 
     assert said.endswith(f": {verdict}.") and "`reference`" not in said
     assert accuracy.SECTION.remarks([row, {"fidelity": "balanced"}]).endswith("NOT MET.")
     assert "off the table's own 8.1 %)" in accuracy.SECTION.remarks([row | {"radius_error_percent": 8.1}])
+
+
+def test_a_target_is_judged_by_the_true_error_and_the_cheapest_that_meets_it() -> None:
+    def row(asked: str, told: float, true: float, seconds: float) -> dict[str, Any]:
+        return {"object": "ball", "asked": asked, "estimate_percent": told, "judged_percent": true, "seconds": seconds}
+
+    solved = [row("fast", 3.0, 1.5, 1.0), row("balanced", 1.5, 0.8, 4.0), row("reference", 0.6, 0.3, 16.0)]
+    asked = [row("2%", 1.5, 0.8, 4.0), row("1%", 0.6, 1.2, 20.0), row("0.5%", 0.6, 0.3, 20.0), row("0.2%", 0.6, 0.3, 20.0)]
+    failed = {"object": "ball", "asked": "5%", "status": "FAILED"}
+    judged = target.SECTION.judge([*solved, *asked, failed])
+    assert judged[:3] == solved and judged[-1] == failed
+    verdicts = [(one["says"], one["true"], one["cheapest"], one["cheapest_seconds"]) for one in judged[3:7]]
+    assert verdicts == [
+        ("met", "met", "fast", 1.0),
+        ("met", "not met", "balanced", 4.0),
+        ("not met", "met", "reference", 16.0),
+        ("not met", "not met", None, None),
+    ]
+    assert "1 of 4 targets said to be met are not met in truth; 1 are met and said not to be" in target.SECTION.remarks(judged)
+    assert len(target.SECTION.listed(judged)) == 5
 
 
 def test_closed_forms_are_judged_by_their_bounds_and_the_control_the_other_way() -> None:
