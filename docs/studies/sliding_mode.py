@@ -1,12 +1,13 @@
 """Stiffness of the coupled hemisphere (whole body, no friction) against sliding sideways on the gel: the weakest modes of Newton's matrix.
 
-    python docs/studies/sliding_mode.py [--points 6] [--coarser 1.3]
+    python docs/studies/sliding_mode.py [--points 6] [--coarser 1.3] [--on-object]
 
 At each converged state, of S = A + Bᵀ C⁻¹ B (displacements, pressures eliminated; each unknown counted in units of its diagonal): how many
 eigenvalues are negative, the two smallest, and the same two without contact's geometric stiffness. Then of the weakest mode, scaled to a
 largest displacement of 1: twice the energy [mN/mm] in gel, object, contact's normal and its geometric part, and how far point and foot
-slide on each other. `--points`: of contact on a face of the gel. `--coarser`: `sizing.OBJECT_COARSER`; another one makes another mesh of
-the object. The object's mesh is drawn by lot (fTetWild) and then cached: another draw gives other numbers.
+slide on each other. `--points`: of contact on a face. `--on-object`: these are the object's faces, not the gel's; with 12 what a press
+begins with. `--coarser`: `sizing.OBJECT_COARSER`; another one makes another mesh of the object. The object's mesh is drawn by lot
+(fTetWild) and then cached: another draw gives other numbers.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def shares(newton: Newton, mode: Array, whole: Array, plain: Array) -> tuple[flo
     solids.add_tangent(newton.pattern.pairs, bodies)
     bodies_of = connected_components(sp.csr_matrix((np.ones(solids.tets.size), (np.repeat(solids.tets[:, 0], 10), solids.tets.ravel())),
                                                    shape=(solids.node_count,) * 2), directed=False)[1]  # fmt: skip
-    of_gel = bodies_of == bodies_of[contact.gel_faces[0, 0]]
+    of_gel = bodies_of == bodies_of[solids.tets[0, 0]]  # its tets are the first ones
     owner = np.nonzero(solids.free)[0]
     gel_values = np.where(np.repeat(of_gel[owner], np.diff(newton.pattern.indptr)), bodies.numpy(), 0.0)
     touching = np.flatnonzero(contact.pressure.numpy() > 0.0)
@@ -122,9 +123,9 @@ def watch(solve):  # type: ignore[no-untyped-def]
     return watched
 
 
-def main(points: int, coarser: float) -> None:
+def main(points: int, coarser: float, on_object: bool) -> None:
     meshing.OBJECT_COARSER = coarser
-    fem.CONTACT_POINTS = (points,)
+    fem.ways = lambda *_: [fem.Try(points, on_object=on_object)]
     Newton.solve = watch(Newton.solve)
     scene = build_scene({
         "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0, "poissons_ratio": 0.499},
@@ -133,8 +134,8 @@ def main(points: int, coarser: float) -> None:
         "press": {"depth_mm": 1.0, "force_n": "none", "frames": 11, "symmetry": "none"},
         "fidelity": "balanced",
     })  # fmt: skip
-    print("| approach [mm] | iterations | negative | smallest [1e-5] | without geometric | faces of gel, object | gel | object | normal "
-          "| geometric | slip |\n|---|---|---|---|---|---|---|---|---|---|---|")  # fmt: skip
+    print("| approach [mm] | iterations | negative | smallest [1e-5] | without geometric | faces with points, those they find "
+          "| gel | object | normal | geometric | slip |\n|---|---|---|---|---|---|---|---|---|---|---|")  # fmt: skip
     press = pipeline.press(scene, throw=False)
     print(f"{press.info['unknowns']} unknowns, {press.newton_iterations.sum()} iterations, {press.status.value}")
 
@@ -143,5 +144,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=6)
     parser.add_argument("--coarser", type=float, default=OBJECT_COARSER)
+    parser.add_argument("--on-object", action="store_true")
     options = parser.parse_args()
-    main(options.points, options.coarser)
+    main(options.points, options.coarser, options.on_object)

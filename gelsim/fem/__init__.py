@@ -17,7 +17,7 @@ from gelsim.errors import SolveError, SolveStatus
 from gelsim.geometry import PlanarMesh, QuadraticSurface, TetMesh
 from gelsim.materials import ElasticMaterial
 from gelsim.results import Deformation, PressSensitivity
-from gelsim.scene import Scene
+from gelsim.scene import Body, Scene
 
 if TYPE_CHECKING:
     from gelsim.fem.batch import Costs
@@ -43,6 +43,9 @@ step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
 """Least μ of the last try: a soft tip that nothing holds slides away in its own folds, and Newton with it."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
+SLIDING = Try(12, on_object=True)
+"""The first try of a smooth soft object that nothing holds sideways: few of the gel's points on each of its smaller faces warp these, and
+their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*)."""
 
 
 def quiet_warp() -> None:
@@ -67,10 +70,11 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    A soft object that friction holds is tried with contact's points on either surface. Then it has twice the contact points, volume is held
-    at points too, and what sticks slides at friction `STICK`; the last time, where friction was less, it is `GRIP`. Its info says so. More
-    points see more of how a soft edge bends between them; on smooth bodies they cost time and change nothing. Volume held at points keeps
-    crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    A soft object that friction holds is tried with contact's points on either surface; a smooth one without friction, which may slide,
+    begins with its own. Then there are twice the contact points, volume is held at points too, and what sticks slides at friction `STICK`;
+    the last time, where friction was less, it is `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on
+    smooth bodies they cost time and change little. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few
+    per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -90,7 +94,7 @@ def solve_press(
 
     best: Deformation | None = None
     name = "cuda:0" if device == "cuda" else "cpu"
-    for number, way in enumerate(ways(scene), 1):
+    for number, way in enumerate(ways(scene, gel.symmetry), 1):
         bodies = _tried(scene, way), gel, body, placement, gel_material, object_material, name
         problem = PressProblem(*bodies, part_materials=part_materials, **_discretised(way))
         if name != "cpu" and problem.memory is None and solves_on_gpu():
@@ -107,14 +111,21 @@ def solve_press(
     return best
 
 
-def ways(scene: Scene) -> list[Try]:
-    """The tries that a scene may have, one after the other until one reaches its end."""
+def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
+    """The tries that a scene may have, one after the other until one reaches its end; `symmetry`: the planes that its meshes are cut at."""
     friction = scene.contact.friction_coefficient
     held = not isinstance(friction, str) and friction >= GRIP
     last = [] if held or isinstance(friction, str) else [GRIPPED]
-    if scene.object.rigid or not held:  # rigid faces need not be as fine as points on them must lie; what slides finds no hold on the gel
-        return [PLAIN, HELD, *last]
-    return [PLAIN, replace(PLAIN, on_object=True), HELD, replace(HELD, on_object=True)]
+    if held and not scene.object.rigid:  # rigid faces need not be as fine as points on them must lie; what slides finds no hold on the gel
+        return [PLAIN, replace(PLAIN, on_object=True), HELD, replace(HELD, on_object=True)]
+    return [*([SLIDING] if friction == 0.0 and _slides(scene.object, symmetry) else []), PLAIN, HELD, *last]
+
+
+def _slides(body: Body, symmetry: frozenset[str]) -> bool:
+    """Whether a smooth soft object may find its tip's place on the gel by itself, with no friction that would hold it."""
+    from gelsim.shapes import sharp_edges
+
+    return not body.rigid and not symmetry >= {"x", "y"} and not len(sharp_edges(body))
 
 
 def _discretised(way: Try) -> dict[str, Any]:
@@ -188,7 +199,8 @@ def solve_batch(
     for turn in itertools.count():
         groups: dict[Try, list[int]] = {}
         for number in failed:
-            for way in ways(bodies[number][0])[turn : turn + 1]:
+            scene, gel = bodies[number][:2]
+            for way in ways(scene, gel.symmetry)[turn : turn + 1]:
                 groups.setdefault(way, []).append(number)
         if not groups:
             break

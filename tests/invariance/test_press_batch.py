@@ -12,7 +12,7 @@ import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, solve_batch, ways
+from gelsim.fem import GRIP, PLAIN, SLIDING, Try, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, find_mkl
@@ -147,6 +147,16 @@ def test_points_on_the_object_are_for_what_friction_holds() -> None:
     assert sides({"shape": "corner"}) == [False, True, False, True]
     # a rigid one's faces are as coarse as its shape lets them be
     assert not any(sides({"shape": "corner", "rigid": True}) + sides({"shape": "corner"}, 0.1) + sides({"shape": "corner"}, "stick"))
+
+
+def test_a_smooth_object_that_may_slide_begins_with_its_own_points() -> None:
+    def first(body: dict[str, object], friction: float = 0.0, planes: str = "") -> Try:
+        return ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}), frozenset(planes))[0]
+
+    assert first({"shape": "hemisphere"}) == first({"shape": "hemisphere"}, planes="x") == SLIDING
+    # mirror planes hold it, or friction; a sharp edge's points change face without end; a rigid one does not warp
+    held = first({"shape": "hemisphere"}, planes="xy"), first({"shape": "hemisphere"}, friction=0.05)
+    assert {*held, first({"shape": "edge"}), first({"shape": "hemisphere", "rigid": True})} == {PLAIN}
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
