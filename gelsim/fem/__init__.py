@@ -41,7 +41,7 @@ STICK = 10.0
 """μ that stands for sticking where that failed: without any bound a point that lifts off drops its whole traction at once, and where a
 step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
-"""Least μ of the last try: a soft tip that nothing holds slides away in its own folds, and Newton with it."""
+"""μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 SLIDING = Try(12, on_object=True)
 """The first try of a smooth soft object that nothing holds sideways: few of the gel's points on each of its smaller faces warp these, and
@@ -70,8 +70,8 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    A soft object that friction holds is tried with contact's points on either surface; a smooth one without friction, which may slide,
-    begins with its own. Then there are twice the contact points, volume is held at points too, and what sticks slides at friction `STICK`;
+    A soft object that friction holds is tried with contact's points on either surface; a smooth one that it does not hold begins
+    with its own. Then there are twice the contact points, volume is held at points too, and what sticks slides at friction `STICK`;
     the last time, where friction was less, it is `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on
     smooth bodies they cost time and change little. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few
     per cent stiffer (docs/mechanics.md).
@@ -114,15 +114,17 @@ def solve_press(
 def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
     """The tries that a scene may have, one after the other until one reaches its end; `symmetry`: the planes that its meshes are cut at."""
     friction = scene.contact.friction_coefficient
-    held = not isinstance(friction, str) and friction >= GRIP
-    last = [] if held or isinstance(friction, str) else [GRIPPED]
-    if held and not scene.object.rigid:  # rigid faces need not be as fine as points on them must lie; what slides finds no hold on the gel
-        return [PLAIN, replace(PLAIN, on_object=True), HELD, replace(HELD, on_object=True)]
-    return [*([SLIDING] if friction == 0.0 and _slides(scene.object, symmetry) else []), PLAIN, HELD, *last]
+    if isinstance(friction, str):
+        return [PLAIN, HELD]
+    if friction < GRIP:
+        return [*([SLIDING] if _slides(scene.object, symmetry) else []), PLAIN, HELD, GRIPPED]
+    if scene.object.rigid:  # its faces need not be as fine as points on them must lie
+        return [PLAIN, HELD]
+    return [PLAIN, replace(PLAIN, on_object=True), HELD, replace(HELD, on_object=True)]
 
 
 def _slides(body: Body, symmetry: frozenset[str]) -> bool:
-    """Whether a smooth soft object may find its tip's place on the gel by itself, with no friction that would hold it."""
+    """Whether a smooth soft object's tip finds its place on the gel by itself where there is hardly any friction to hold it."""
     from gelsim.shapes import sharp_edges
 
     return not body.rigid and not symmetry >= {"x", "y"} and not len(sharp_edges(body))
