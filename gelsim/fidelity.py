@@ -20,9 +20,12 @@ import numpy as np
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.results import Deformation
 
-# Fidelities from cheap to dear, with what presses tell of themselves: relative of the force, the median of the solids of
-# docs/validation.md, Accuracy; of the membrane [µm], of the scenes of docs/studies/error_estimate.py.
-PREDICTED = {"fast": (0.03, 10.0), "balanced": (0.017, 3.0), "reference": (0.005, 3.0)}
+# Fidelities from cheap to dear, with what presses tell of themselves: relative of the force, the medians of docs/validation.md, Accuracy;
+# of the membrane [µm], of the scenes of docs/studies/error_estimate.py, which are solids.
+PREDICTED = {
+    "solid": {"fast": (0.03, 10.0), "balanced": (0.017, 3.0), "reference": (0.005, 3.0)},
+    "profile": {"fast": (0.013, 10.0), "balanced": (0.0065, 3.0), "reference": (0.0035, 3.0)},
+}
 SAFETY = 2.0
 LEAST = 0.1
 COMPARED = 0.1
@@ -57,19 +60,21 @@ class Chosen:
     tried: list[dict[str, object]] = field(default_factory=list)
 
 
-def press_to_target(target: Target, solve: Callable[[str], Deformation]) -> Chosen:
+def press_to_target(target: Target, solve: Callable[[str], Deformation], kind: str = "solid") -> Chosen:
     """Solves at one fidelity after the other until the estimate meets the target, from the cheapest that is predicted to.
 
     The estimate of the press that is returned (info["error_estimate"]) is the one that was decided by.
 
     Args:
         solve: Presses at a fidelity.
+        kind: "solid" or "profile", of what is predicted.
     Raises:
         SolveError: The first press failed. Where a finer one fails the coarser is returned, and its target is not met.
     """
     kept: Chosen | None = None
     tried: list[dict[str, object]] = []
-    for name in list(PREDICTED)[_first(target) :]:
+    predicted = PREDICTED[kind]
+    for name in list(predicted)[_first(target, predicted) :]:
         try:
             press = solve(name)
         except SolveError as error:
@@ -95,18 +100,18 @@ def press_to_target(target: Target, solve: Callable[[str], Deformation]) -> Chos
     return kept
 
 
-def _first(target: Target) -> int:
+def _first(target: Target, predicted: dict[str, tuple[float, float]]) -> int:
     """Where to begin: at the first fidelity that is predicted to say by itself that it is good enough, unless that is the finest.
 
     The two below it cost half as much together, and say more of the force by their difference.
     """
-    last = len(PREDICTED) - 1
+    last = len(predicted) - 1
     of_membrane = next(
-        (i for i, (_, membrane) in enumerate(PREDICTED.values()) if Target(None, target.membrane_um).allows(0, membrane)), last
+        (i for i, (_, membrane) in enumerate(predicted.values()) if Target(None, target.membrane_um).allows(0, membrane)), last
     )
     if target.force is None:
         return of_membrane
-    alone = next((i for i, predicted in enumerate(PREDICTED.values()) if target.allows(*predicted)), last)
+    alone = next((i for i, told in enumerate(predicted.values()) if target.allows(*told)), last)
     return alone if alone < last else max(of_membrane - 1, 0)
 
 

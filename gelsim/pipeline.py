@@ -152,13 +152,14 @@ def _press_profile(
 def _press_to_target(scene: Scene, device: str, progress: Progress | None, record: Record, throw: bool) -> Deformation:
     """`press` at the cheapest fidelity whose error estimate meets the scene's target; record.choices says which and why."""
     from gelsim import fidelity
+    from gelsim.reductions import choose_reduction
 
     def solve(name: str) -> Deformation:
         return press(_at(scene, name), device=device, progress=progress, record=record, throw=throw)
 
     assert not isinstance(scene.target_error, str)
     target = fidelity.Target(scene.target_error, scene.target_membrane_um)
-    chosen = fidelity.press_to_target(target, solve)
+    chosen = fidelity.press_to_target(target, solve, "profile" if choose_reduction(scene).planar else "solid")
     record.choices["fidelity"] = {"chosen": chosen.fidelity, "why": chosen.why, "tried": chosen.tried}
     if not chosen.met:
         record.warnings.append(f"the target was not met at fidelity {chosen.fidelity}: {chosen.why}")

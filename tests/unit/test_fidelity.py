@@ -21,7 +21,8 @@ from gelsim.scene_file import build_scene
 def solver(deformation: Deformation, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Callable[[str], Deformation]]:
     """A made-up solver: own estimates of force and membrane, and true relative errors, by fidelity; what it was asked for is in `asked`."""
 
-    monkeypatch.setattr(fidelity, "PREDICTED", {"fast": (0.08, 8.0), "balanced": (0.04, 4.0), "reference": (0.02, 1.0)})
+    solids = {"fast": (0.08, 8.0), "balanced": (0.04, 4.0), "reference": (0.02, 1.0)}
+    monkeypatch.setattr(fidelity, "PREDICTED", {"solid": solids, "profile": {name: (f / 4, m) for name, (f, m) in solids.items()}})
 
     def make(own: dict[str, float], true: dict[str, float] | None = None, membrane: dict[str, float] | None = None, fail: str = ""):  # type: ignore[no-untyped-def]
         def solve(name: str) -> Deformation:
@@ -61,6 +62,13 @@ def test_cheapest_that_meets_it(target: Target, asked: list[str], met: bool, sol
     assert (solve.asked, chosen.met) == (asked, met)
     assert chosen.fidelity == asked[-1] and [row["fidelity"] for row in chosen.tried] == asked
     assert target.allows(*chosen.press.info["error_estimate"].values()) == met  # type: ignore[attr-defined]
+
+
+def test_a_profile_is_predicted_by_profiles(solver) -> None:  # type: ignore[no-untyped-def]
+    told = {name: error / 4 for name, error in OWN.items()}
+    for target, asked in ((0.05, ["fast"]), (0.01, ["balanced"])):
+        solve = solver(told, TRUE)
+        assert press_to_target(Target(target), solve, "profile").met and solve.asked == asked
 
 
 def test_a_wrong_prediction_is_seen(solver) -> None:  # type: ignore[no-untyped-def]
