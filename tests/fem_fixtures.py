@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -52,10 +53,11 @@ def ball_scene(depth_mm: float, frames: int, nu: float = 0.499, friction: float 
     )
 
 
-def problem_of(scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface) -> PressProblem:
+def problem_of(scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, **points: Any) -> PressProblem:
     surface = body if isinstance(body, QuadraticSurface) else body.surface("contact")
     gel_material, object_material = materials.gel_material(scene), materials.object_material(scene)
-    problem = PressProblem(scene, gel, body, shapes.placement(scene, surface), gel_material, object_material, "cpu", tolerance=TOLERANCE)
+    given = scene, gel, body, shapes.placement(scene, surface), gel_material, object_material, "cpu"
+    problem = PressProblem(*given, tolerance=TOLERANCE, **points)
     # Contact multipliers take over from a rough solution, so how rough it is shows in the end: with rough steps a whole ball and its
     # quarter differ by up to 0.9 µm of 300.
     problem.options = replace(problem.options, exact_after=0)

@@ -255,7 +255,8 @@ def differentiate_press(
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     first = of_object[0] if of_object else None
-    problem = PressProblem(scene, gel, body, placement, of_gel, first, "cpu", part_materials=of_object[1:])
+    given = scene, gel, body, placement, of_gel, first, "cpu"
+    problem = PressProblem(*given, part_materials=of_object[1:], **_discretised(ways(scene, gel.symmetry)[0]))
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
 
 

@@ -25,15 +25,23 @@ SAME = 2e-4
 PLACES = 0.0, 1.4, 4.0  # mm from the axis: under the object, at its rim, in the free surface
 
 
-def problem(rigid: bool, gel_kpa: float, object_kpa: float, depth: float, frames: int = 3) -> PressProblem:
+OWN = {"contact_points": 12, "on_object": True}
+"""How the points are where a smooth object may slide (`fem.SLIDING`)."""
+
+
+def problem(rigid: bool, gel_kpa: float, object_kpa: float, depth: float, own: bool) -> PressProblem:
+    """`own`: contact's points are the object's."""
     if rigid:
-        scene, gel = ball_scene(depth, frames, modulus_kpa=gel_kpa), flat_gel(0.5, 2.5)
+        scene, gel = ball_scene(depth, 3, modulus_kpa=gel_kpa), flat_gel(0.5, 2.5)
         return problem_of(scene, gel, rigid_body(scene, gel))
-    return problem_of(cap_scene(object_kpa, depth, frames, gel_kpa=gel_kpa), flat_gel(0.7, 2.1), soft_cap())
+    scene = cap_scene(object_kpa, depth, 3, gel_kpa=gel_kpa)
+    return problem_of(scene, flat_gel(0.7, 2.1), soft_cap(), **(OWN if own else {}))
 
 
-def solve(rigid: bool, gel_kpa: float = MODULI[0], object_kpa: float = MODULI[1], depth: float = DEPTH) -> PressSensitivity:
-    made = problem(rigid, gel_kpa, object_kpa, depth)
+def solve(
+    rigid: bool, gel_kpa: float = MODULI[0], object_kpa: float = MODULI[1], depth: float = DEPTH, own: bool = False
+) -> PressSensitivity:
+    made = problem(rigid, gel_kpa, object_kpa, depth, own)
     top = np.unique(made.gel.groups["coated"])
     away = np.hypot(*made.solids.rest[top, :2].T)
     heights = [(top[[np.argmin(np.abs(away - place))]], np.ones(1)) for place in PLACES]
@@ -41,25 +49,25 @@ def solve(rigid: bool, gel_kpa: float = MODULI[0], object_kpa: float = MODULI[1]
 
 
 @lru_cache
-def adjoint_of(rigid: bool) -> PressSensitivity:
-    return solve(rigid)
+def adjoint_of(rigid: bool, own: bool = False) -> PressSensitivity:
+    return solve(rigid, own=own)
 
 
 @lru_cache
-def differences_of(rigid: bool) -> tuple[Array, Array]:
+def differences_of(rigid: bool, own: bool = False) -> tuple[Array, Array]:
     """Of force and heights in the last state by the three parameters, as of `PressSensitivity`."""
     at = {"gel_kpa": MODULI[0], "object_kpa": MODULI[1], "depth": DEPTH}
     force, height = [], []
     for name, value in at.items():
-        there, back = (solve(rigid, **(at | {name: value * (1 + sign * STEP)})) for sign in (1, -1))
+        there, back = (solve(rigid, **(at | {name: value * (1 + sign * STEP)}), own=own) for sign in (1, -1))
         force.append((there.force[-1] - back.force[-1]) / (2 * STEP * value))
         height.append((there.height[-1] - back.height[-1]) / (2 * STEP * value))
     return np.array(force), np.array(height).T
 
 
-def assert_is_derivative(found: PressSensitivity, rigid: bool) -> None:
+def assert_is_derivative(found: PressSensitivity, rigid: bool, own: bool = False) -> None:
     """Column by column: a modulus's numbers are a thousandth of the depth's."""
-    force, height = differences_of(rigid)
+    force, height = differences_of(rigid, own)
     for column in (0, 2) if rigid else (0, 1, 2):
         assert force[column] > 0
         assert abs(found.force_gradient[-1, column] - force[column]) <= SAME * force[column]
@@ -69,9 +77,9 @@ def assert_is_derivative(found: PressSensitivity, rigid: bool) -> None:
             assert np.linalg.norm(found.height_gradient[-1, :, column] - height[:, column]) <= SAME * size
 
 
-@pytest.mark.parametrize("rigid", [True, False])
-def test_adjoint_is_the_derivative_of_the_press(rigid: bool) -> None:
-    assert_is_derivative(adjoint_of(rigid), rigid)
+@pytest.mark.parametrize(("rigid", "own"), [(True, False), (False, False), (False, True)])
+def test_adjoint_is_the_derivative_of_the_press(rigid: bool, own: bool) -> None:
+    assert_is_derivative(adjoint_of(rigid, own), rigid, own)
 
 
 @pytest.mark.parametrize("rigid", [True, False])
