@@ -53,6 +53,7 @@ from gelsim.geometry import (
 from gelsim.inclusions import Inclusion, inclusions
 from gelsim.scene import Body, Scene
 from gelsim.shapes import (
+    BUMPY,
     RELIEFS,
     load_mesh,
     press_depth,
@@ -61,7 +62,7 @@ from gelsim.shapes import (
     solid,
     wall,
 )
-from gelsim.sizing import LONGER, OBJECT_COARSER, SIZES, MeshSizes, SizeField, class_above
+from gelsim.sizing import LONGER, SIZES, MeshSizes, SizeField, class_above, object_edge
 from gelsim.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
@@ -96,7 +97,6 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
-    edge = OBJECT_COARSER * edge_in_contact(scene, area)
     within: tuple[Inclusion, ...] = ()
     # As of the gel: no mirror image where one side alone is touched.
     side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
@@ -108,14 +108,15 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
         surface, shape, stretch = None, solid(body, cut, _COARSE), area.stretch
         within = inclusions(body, cut, _COARSE)
         narrow = float(np.ptp(solid(body).hull, axis=0).min())
+    uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
+    deep = class_above(0.5 * press_depth(scene)) if sizes.deeper else 0.5 * press_depth(scene)
+    box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, deep + uneven
+    edge = object_edge(box[0], box[2], edge_in_contact(scene, area), np.inf if body.shape in BUMPY else sizes.most_cubes)
     # Away from contact a tall object is a spring, but it needs two or three quadratic edges across to bend and stay round.
     far = max(edge, min(sizes.object_far, narrow / 2.5))
     rims = cut_pieces(sharp_edges(body), min(edge, sizes.rim))
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
-    uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
-    deep = class_above(0.5 * press_depth(scene)) if sizes.deeper else 0.5 * press_depth(scene)
-    box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, deep + uneven
     field = contact_field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
     inner: list[TriMesh] = []
     if surface is None:

@@ -46,6 +46,8 @@ DRAWN = ("cylinder", "edge", "flat", "box", "tube", "candy")
 NOT_CONVEX = ("tube", "shell", "torus", "tomato")
 """Of these the coarse surface is made from the profile."""
 RELIEFS = ("wave", "emboss", "rough")
+BUMPY = ("emboss", "rough")
+"""Curved both ways within a wave's length: coarser faces do not follow that."""
 FOOT = 0.6
 """Half width of the foot above a tube or a tomato, over its radius."""
 SAMPLE_WIDTH = 25e-3

@@ -32,6 +32,8 @@ LONGER = 1.3
 
 OBJECT_COARSER = 1.3
 """Edge length in contact of the object over the gel's: less of it deforms, and its curved faces come out shorter than flat ones."""
+OBJECT_COARSEST = 2.0
+"""The same of an object that has much in contact (`MeshSizes.most_cubes`): its inside deforms less than its skin."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class MeshSizes:
     most_edges: float
     """Squares of the edge length over the contact area. A long or wide area would be resolved as a narrow one is: nine edges across, and as
     long ones along all of it."""
+    most_cubes: float
+    """Cubes of the edge length in the part of an object that is meshed finely; for more of them they are longer, up to OBJECT_COARSEST."""
     growth: float
     """Edge length gained per length away from the contact area."""
     rim: float
@@ -58,9 +62,9 @@ class MeshSizes:
 
 
 SIZES = {
-    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM, True),
-    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM, False),
-    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM, False),
+    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 400.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM, True),
+    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM, False),
+    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM, False),
 }
 
 
@@ -100,6 +104,13 @@ def contact_edge(area: Footprint, sizes: MeshSizes) -> float:
     squares = np.prod([(h - lo) * (1 if lo else 2) for lo, h in zip(area.low, area.high, strict=True)]) / area.stretch
     wanted = max(min(half[0], half[1]) / sizes.divisions, float(np.sqrt(squares / sizes.most_edges)))
     return float(np.clip(wanted, sizes.finest, sizes.coarsest_contact))
+
+
+def object_edge(area: Footprint, depth: float, edge: float, most_cubes: float) -> float:
+    """Edge length in contact [m] of an object that is fine to `depth` [m], the gel's being `edge` (`MeshSizes.most_cubes`)."""
+    wide = np.prod([h - lo if side else 2 * h for lo, h, side in zip(area.low, area.high, area.side, strict=True)])
+    wanted = float(np.cbrt(wide / area.stretch * depth / most_cubes))
+    return float(np.clip(wanted, OBJECT_COARSER * edge, OBJECT_COARSEST * edge))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from gelsim import fem, meshing, pipeline
+from gelsim import fem, pipeline, sizing
 from gelsim.errors import SolveStatus
 from gelsim.fem.linear import PardisoSolver
 from gelsim.fem.newton import Newton, NewtonReport
@@ -124,7 +124,7 @@ def watch(solve):  # type: ignore[no-untyped-def]
 
 
 def main(points: int, coarser: float, on_object: bool) -> None:
-    meshing.OBJECT_COARSER = coarser
+    sizing.OBJECT_COARSER = coarser
     fem.ways = lambda *_: [fem.Try(points, on_object=on_object)]
     Newton.solve = watch(Newton.solve)
     scene = build_scene({

@@ -33,6 +33,8 @@ class Try:
     """The points are those of the object's faces and look for the gel's, not the other way round."""
     held: float = 0.0
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
+    most_wasted: int | None = None
+    """Newton iterations of steps that failed, after which it ends; None: `problem.MOST_WASTED`."""
     friction: tuple[float, float] | None = None
     """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
 
@@ -42,6 +44,8 @@ STICK = 10.0
 step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
 """μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
+SOON = 60
+"""Failed iterations after which a soft object that friction holds is tried with contact's points on the other side: some four steps."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 SLIDING = Try(12, on_object=True)
 """The first try of a smooth soft object that nothing holds sideways: few of the gel's points on each of its smaller faces warp these, and
@@ -120,7 +124,8 @@ def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
         return [*([SLIDING] if _slides(scene.object, symmetry) else []), PLAIN, HELD, GRIPPED]
     if scene.object.rigid:  # its faces need not be as fine as points on them must lie
         return [PLAIN, HELD]
-    return [PLAIN, replace(PLAIN, on_object=True), HELD, replace(HELD, on_object=True)]
+    first = [SLIDING, PLAIN] if _uneven(scene.object) else [PLAIN, replace(PLAIN, on_object=True)]
+    return [replace(first[0], most_wasted=SOON), first[1], HELD, replace(HELD, on_object=True)]
 
 
 def _slides(body: Body, symmetry: frozenset[str]) -> bool:
@@ -130,9 +135,17 @@ def _slides(body: Body, symmetry: frozenset[str]) -> bool:
     return not body.rigid and not symmetry >= {"x", "y"} and not len(sharp_edges(body))
 
 
+def _uneven(body: Body) -> bool:
+    """Whether a soft object's underside has waves of its own, whose faces bend more than the gel's."""
+    from gelsim.shapes import fine_feature
+
+    return fine_feature(body) < np.inf
+
+
 def _discretised(way: Try) -> dict[str, Any]:
     """What of a try the problem is made with."""
-    return {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object}
+    made = {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object}
+    return made if way.most_wasted is None else made | {"most_wasted": way.most_wasted}
 
 
 def _tried(scene: Scene, way: Try) -> Scene:
@@ -199,17 +212,17 @@ def solve_batch(
     best: dict[int, Deformation] = {}
     failed = list(range(len(bodies)))
     for turn in itertools.count():
-        groups: dict[Try, list[int]] = {}
+        groups: dict[Try, dict[int, Try]] = {}
         for number in failed:
             scene, gel = bodies[number][:2]
             for way in ways(scene, gel.symmetry)[turn : turn + 1]:
-                groups.setdefault(way, []).append(number)
+                groups.setdefault(replace(way, most_wasted=None), {})[number] = way  # each gives up in its own time
         if not groups:
             break
         left = sum(map(len, groups.values()))
-        for way, several in groups.items():
+        for several in groups.values():
             problems, start = [], time.perf_counter()
-            for number in several:
+            for number, way in several.items():
                 scene, gel, body, placement = bodies[number]
                 of_object = list(object_materials(scene).values())
                 first = of_object[0] if of_object else None
@@ -219,7 +232,7 @@ def solve_batch(
                 costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
             told = None if progress is None else partial(_told, progress, len(bodies) - left, len(bodies))
             left -= len(several)
-            for number, press in zip(several, run_batch(problems, progress=told, costs=costs), strict=True):
+            for (number, way), press in zip(several.items(), run_batch(problems, progress=told, costs=costs), strict=True):
                 _note(press, bodies[number][0], way, turn + 1)
                 best[number] = _further(best.get(number), press)
         failed = [number for number in failed if best[number].lost]

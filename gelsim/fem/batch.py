@@ -34,6 +34,7 @@ from gelsim.fem.newton import (
     MAX_LINE_SEARCH,
     SMALLEST_JACOBIAN,
     NewtonReport,
+    stalls,
 )
 from gelsim.fem.pattern import PairPattern, SymmetricPattern, build_pattern, pair_keys
 from gelsim.fem.problem import PressProblem
@@ -170,8 +171,12 @@ class _Batch:
         self.goal = np.full(self.count, np.inf)
         self.iteration, self.limit = np.zeros(self.count, int), np.zeros(self.count, int)
         self.factorisations = np.zeros(self.count, int)
+        self.sizes_seen: list[list[float]] = [[] for _ in problems]
+        """Residuals of each scene's present solve."""
         self.exact_after = np.array([problem.options.exact_after for problem in problems])
         self.inverted = np.zeros(self.count, bool)
+        self.stiffened = np.zeros(self.count, int)
+        """Which of SHIFTS was enough the last time."""
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
         self.moved = np.zeros(self.count, bool)
@@ -218,11 +223,12 @@ class _Batch:
         self.goal[scene] = request.tolerance or options.tolerance
         self.limit[scene] = options.max_iterations if request.solve else 0
         self.iteration[scene] = self.factorisations[scene] = 0
-        self.inverted[scene] = False
+        self.inverted[scene], self.sizes_seen[scene] = False, []
 
     def _ended(self, scene: int, residual: _Residual) -> NewtonReport | None:
         """Whether, and how, a scene's Newton has ended."""
         iteration, size = int(self.iteration[scene]), float(residual.size[scene])
+        self.sizes_seen[scene][iteration:] = [size]
         status = None
         if self.inverted[scene]:
             status = SolveStatus.INVERTED_ELEMENT
@@ -230,7 +236,7 @@ class _Batch:
             status = SolveStatus.NONFINITE
         elif iteration > 0 and size <= self.goal[scene]:
             status = SolveStatus.CONVERGED
-        elif iteration == self.limit[scene]:
+        elif iteration == self.limit[scene] or stalls(self.sizes_seen[scene], self.exact_after[scene]):
             status = SolveStatus.MAX_ITERATIONS
         if status is None:
             return None
@@ -327,14 +333,16 @@ class _Batch:
         if not saddle.any():
             return
         original, entries = wp.clone(self.values), len(self.values) // self.count
-        for share in SHIFTS:
-            self._send(self.share, np.where(saddle, share, 0.0))
+        number, share = np.maximum(self.stiffened - 1, 0), np.zeros(self.count)
+        while saddle.any():
+            share[saddle] = np.array(SHIFTS)[number[saddle]]
+            self._send(self.share, share.copy())
             inputs = [original, self._stiff, entries, self.share, self.values]
             wp.launch(stiffen, (self.count, len(self._stiff)), inputs, device=self.solids.device)
             self._factorise(saddle)
-            saddle &= self._at_saddle()
-            if not saddle.any():
-                return
+            self.stiffened[saddle] = number[saddle]
+            number = number + 1
+            saddle &= self._at_saddle() & (number < len(SHIFTS))
 
     def _at_saddle(self) -> Mask:
         return self.system.negative > self._single.free[:, 3].sum()

@@ -34,7 +34,8 @@ from threadpoolctl import ThreadpoolController
 _MTYPE_SYMMETRIC_INDEFINITE = -2
 
 SHIFTS = (1e-3, 8e-3, 0.06, 0.5)
-"""Shares of their diagonal by which displacements are made stiffer where the matrix is not that of a minimum, one after the other."""
+"""Shares of their diagonal by which displacements are made stiffer where the matrix is not that of a minimum, one after the other, from the
+one below that which was last enough."""
 
 
 def find_mkl() -> str | None:
@@ -182,6 +183,7 @@ class SymmetricSystem:
         self.direct = make_solver(single=_single.get())
         self.factorisations = self.solves = 0
         self.factored = self._fresh = self._worn = False
+        self._stiffened = 0  # which of SHIFTS was enough the last time
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern."""
@@ -265,13 +267,14 @@ class SymmetricSystem:
             return
         others = int((~self.positive).sum())
         values, diagonal = self._values, self._pattern[1][:-1][self.positive]
-        for share in SHIFTS:
+        for number in range(max(self._stiffened - 1, 0), len(SHIFTS)):
             if self.direct.negative <= others:
                 return
             shifted = values.copy()
-            shifted[diagonal] += share * np.abs(values[diagonal])
+            shifted[diagonal] += SHIFTS[number] * np.abs(values[diagonal])
             self.update(shifted)
             self.factorise()
+            self._stiffened = number
 
     def solve(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""

@@ -8,6 +8,7 @@ forces balance to `tolerance` of the contact force, the volume equations hold to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,8 @@ FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
 MAX_LINE_SEARCH = 8
 LINE_SEARCH_DROP = 0.8  # the slope along the step must shrink to this share
 SMALLEST_JACOBIAN = 0.05
+# Exact steps of which one at least must bring the residual below this share of the least before them: else a shorter load step costs less.
+STALLED_AFTER, STALLED = 6, 0.5
 LARGEST_GROWTH = 3.0  # of the residual by an exact step: a nearly singular matrix leads out of sight
 GEOMETRIC_BELOW = 0.5  # imbalance under which contact pressures are near enough to trust their geometric stiffness
 Array = NDArray[np.float64]
@@ -38,6 +41,11 @@ class NewtonOptions:
     max_iterations: int = 30
     exact_after: int = 8
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
+
+
+def stalls(sizes: Sequence[float], exact_after: int) -> bool:
+    """Whether exact steps lead nowhere, by the residuals of a solve so far."""
+    return len(sizes) > exact_after + STALLED_AFTER and min(sizes[-STALLED_AFTER:]) > STALLED * min(sizes[:-STALLED_AFTER])
 
 
 @dataclass
@@ -172,14 +180,16 @@ class Newton:
         solids, contact = self.solids, self.contact
         residual = self.residual(reach, freeze=limit == 0)
         before = np.inf
+        sizes: list[float] = []
         for iteration in range(limit + 1):
             size = residual.size
+            sizes.append(size)
             if not np.isfinite(residual.equations).all():
                 return SolveStatus.NONFINITE, iteration, residual
             if iteration > 0 and size <= goal:
                 return SolveStatus.CONVERGED, iteration, residual
-            if iteration == limit:
-                break
+            if iteration == limit or stalls(sizes, self.options.exact_after):
+                return SolveStatus.MAX_ITERATIONS, iteration, residual
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
             if not chord:
@@ -194,4 +204,4 @@ class Newton:
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial
-        return SolveStatus.MAX_ITERATIONS, limit, residual
+        raise AssertionError("the last iteration returns")

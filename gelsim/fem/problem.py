@@ -36,6 +36,7 @@ PENALTY_PER_MODULUS = 30.0
 # Augmentation leaves half the smoothing as overlap: 0.25 µm makes a press of 0.1 mm 0.3 % too soft, profiles have 0.025 µm.
 PENALTY_SMOOTHING_MM = {"fast": 5e-4, "balanced": 5e-4, "reference": 5e-5}
 STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
+MOST_WASTED = 300  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 100
 TOLERANCES = {"fast": 1e-3, "balanced": 1e-4, "reference": 1e-6}  # imbalance left by Newton; a force is off by a fraction of it
 
 
@@ -44,15 +45,18 @@ class PressProblem:
 
     `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`. `held`: the part of κ, in shear moduli, by
     which volume is held at points (`Solids.hold_volume`), of half of κ at most. `on_object`: contact's points are those of the object's
-    faces, and the gel is their master; else the other way round.
+    faces, and the gel is their master; else the other way round. `most_wasted`: Newton iterations of steps that failed, after which a
+    march ends.
     """
 
     on_object = False
+    most_wasted = MOST_WASTED
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
                  part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
-                 held: float = 0.0, on_object: bool = False, tolerance: float | None = None) -> None:  # fmt: skip
+                 held: float = 0.0, on_object: bool = False, tolerance: float | None = None,
+                 most_wasted: int = MOST_WASTED) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -102,7 +106,7 @@ class PressProblem:
         self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
         self.shear = np.array([material.mu * KPA for material in of_tets])
-        self.held = held
+        self.held, self.most_wasted = held, most_wasted
         if held > 0.0:
             self.solids.hold_volume(np.minimum(held * self.shear, 0.5 * kappa))
         softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA

@@ -44,7 +44,6 @@ CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no 
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
-MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 210
 FORCE_TOLERANCE = 2e-3  # of force_n
 CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
@@ -174,7 +173,7 @@ class _March:
             if not (yield from self._attempt(here, new)):
                 longest = min(longest, CAREFUL_STEP)
                 step, easy, self.halved = min((new - here.approach) / 2, longest), 0, self.halved + 1
-                if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > MOST_WASTED:
+                if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
                     return
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""

@@ -12,7 +12,7 @@ import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, PLAIN, SLIDING, Try, solve_batch, ways
+from gelsim.fem import GRIP, PLAIN, SLIDING, SOON, Try, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, find_mkl
@@ -145,6 +145,8 @@ def test_points_on_the_object_are_for_what_friction_holds() -> None:
         return [way.on_object for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
 
     assert sides({"shape": "corner"}) == [False, True, False, True]
+    # one with waves of its own begins with its points, and gives the gel's a whole try
+    assert sides({"shape": "rough"}) == sides({"shape": "torus"}) == [True, False, False, True]
     # a rigid one's faces are as coarse as its shape lets them be
     assert not any(sides({"shape": "corner", "rigid": True}) + sides({"shape": "corner"}, 0.1) + sides({"shape": "corner"}, "stick"))
 
@@ -155,8 +157,18 @@ def test_a_smooth_object_that_may_slide_begins_with_its_own_points() -> None:
 
     assert first({"shape": "hemisphere"}) == first({"shape": "hemisphere"}, 0.2, planes="x") == SLIDING
     # mirror planes hold it, or friction; a sharp edge's points change face without end; a rigid one does not warp
-    held = first({"shape": "hemisphere"}, planes="xy"), first({"shape": "hemisphere"}, GRIP)
+    held = first({"shape": "hemisphere"}, planes="xy"), replace(first({"shape": "hemisphere"}, GRIP), most_wasted=None)
     assert {*held, first({"shape": "edge"}), first({"shape": "hemisphere", "rigid": True})} == {PLAIN}
+
+
+def test_a_press_that_may_begin_on_the_other_side_gives_up_sooner() -> None:
+    """Not its later tries, nor one that has no such other: of these each is the last of its kind."""
+
+    def patience(body: dict[str, object], friction: float) -> list[int | None]:
+        return [way.most_wasted for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
+
+    assert patience({"shape": "hemisphere"}, GRIP) == patience({"shape": "wave"}, GRIP) == [SOON, None, None, None]
+    assert not any(patience({"shape": "hemisphere"}, 0.1) + patience({"shape": "hemisphere", "rigid": True}, GRIP))
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")

@@ -12,7 +12,7 @@ from planar_fixtures import press_of
 from gelsim.bench.presses import ball
 from gelsim.errors import PressEnd, SolveError, SolveStatus
 from gelsim.fem import _further, quasistatic  # pyright: ignore[reportPrivateUsage]
-from gelsim.fem.newton import Newton
+from gelsim.fem.newton import Newton, NewtonOptions, stalls
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.results import Deformation
@@ -223,6 +223,38 @@ def test_a_later_try_marches_carefully_and_then_as_always(monkeypatch: pytest.Mo
     assert press.status is SolveStatus.CONVERGED and press.info["ended_by"] == PressEnd.DEPTH
     assert press.force == pytest.approx(expected.force, rel=1e-9, abs=1e-9)
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
+
+
+def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
+    """Steps that cannot converge are halved until more iterations have failed than its problem allows."""
+    scene = ball_scene(0.3, 2, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 2, 6.0, 3.0)
+    halved = []
+    for most in (7, 300):
+        problem = problem_of(scene, gel, rigid_body(scene, gel))
+        problem.newton.options = NewtonOptions(tolerance=1e-30, max_iterations=3)
+        problem.most_wasted = most
+        press = run_press(problem, throw=False)
+        assert press.status is SolveStatus.MAX_ITERATIONS
+        halved.append(press.info["steps_halved"])
+    smallest = 1 + round(np.log2(1 / quasistatic.SMALLEST_STEP))
+    assert halved == [3, smallest], "three iterations each: the third step is one too many of seven"
+
+
+@pytest.mark.parametrize(
+    ("sizes", "ends"),
+    [
+        ([1.0] * 14, False),  # not enough exact ones yet
+        ([1.0] * 15, True),
+        ([1.0] * 14 + [0.4], False),
+        (
+            [0.01] + [1.0] * 8 + [0.02, 0.01, 0.006, 0.02, 0.01, 0.02],
+            True,
+        ),  # what it had reached before counts, not where it wandered since
+    ],
+)
+def test_exact_steps_that_lead_nowhere_end_a_solve(sizes: list[float], ends: bool) -> None:
+    assert stalls(sizes, NewtonOptions().exact_after) == ends
 
 
 def test_of_two_tries_the_better_is_kept() -> None:
