@@ -23,7 +23,7 @@ from gelsim.materials import parts
 from gelsim.meshing import mesh_object, mesh_report
 from gelsim.scene import Body, Gel, Grains, Press, Scene, Skin
 from gelsim.shapes import object_surface, project, shape_symmetry, solid
-from gelsim.sizing import SizeField
+from gelsim.sizing import OBJECT_COARSER, OBJECT_COARSEST, SIZES, Footprint, SizeField, object_edge
 from gelsim.solids import patch_distances
 
 
@@ -192,6 +192,40 @@ def test_fast_presses_of_nearly_the_same_depth_share_an_objects_mesh(monkeypatch
     fast, balanced, other_fast, other_balanced = (field.settings() for field in wanted)
     assert fast == other_fast and wanted[0].high[2] == pytest.approx(0.85e-3)
     assert balanced != other_balanced
+
+
+def test_an_object_with_much_in_contact_is_coarser_at_fast() -> None:
+    """A gel edge of 1 mm: 8 mm³ to be meshed finely want 1.3 mm, 1,600 are 400 cubes of 1.59 mm, 16,000 would be of 3.4."""
+
+    def edge(half: float, depth: float, most: float, **area: object) -> float:
+        return object_edge(Footprint((0.0, 0.0), (half, half), 1.0, **area), depth, 1e-3, most)  # type: ignore[arg-type]
+
+    most = SIZES["fast"].most_cubes
+    assert edge(2e-3, 0.5e-3, most) == pytest.approx(OBJECT_COARSER * 1e-3)
+    assert edge(10e-3, 4e-3, most) == pytest.approx(np.cbrt(1600 / most) * 1e-3)
+    assert edge(10e-3, 4e-3, most, side=(1, -1)) == pytest.approx(OBJECT_COARSER * 1e-3), "a quarter of the volume"
+    assert edge(20e-3, 10e-3, most) == pytest.approx(OBJECT_COARSEST * 1e-3)
+    for finer in ("balanced", "reference"):
+        assert edge(20e-3, 10e-3, SIZES[finer].most_cubes) == pytest.approx(OBJECT_COARSER * 1e-3)
+
+
+def test_dots_keep_their_edges_where_ridges_give_some_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    class _Enough(Exception):
+        """What was to be filled is all that is asked for."""
+
+    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
+        asked.append(field.contact)
+        raise _Enough
+
+    monkeypatch.setattr(meshing, "_cached_fill", fill)
+    for shape in ("wave", "emboss"):
+        body = Body(shape=shape, shore_00=30.0, wavelength_mm=2.0, amplitude_mm=0.5)
+        with pytest.raises(_Enough):
+            mesh_object(Scene(object=body, press=Press(depth_mm=3.0), fidelity="fast"), frozenset("xy"), QUIET)
+    gel = 2e-3 / SIZES["fast"].divisions
+    assert asked == pytest.approx([OBJECT_COARSEST * gel, OBJECT_COARSER * gel])
 
 
 def test_a_cache_that_cannot_be_written_is_said_and_survived(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
