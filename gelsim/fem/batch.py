@@ -236,7 +236,7 @@ class _Batch:
             status = SolveStatus.NONFINITE
         elif iteration > 0 and size <= self.goal[scene]:
             status = SolveStatus.CONVERGED
-        elif iteration == self.limit[scene] or stalls(self.sizes_seen[scene], self.exact_after[scene]):
+        elif iteration == self.limit[scene] or stalls(self.sizes_seen[scene], self.problems[scene].options):
             status = SolveStatus.MAX_ITERATIONS
         if status is None:
             return None

@@ -41,11 +41,15 @@ class NewtonOptions:
     max_iterations: int = 30
     exact_after: int = 8
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
+    patient: bool = False
+    """Whether a solve goes on to the last iteration where exact steps lead nowhere (`stalls`)."""
 
 
-def stalls(sizes: Sequence[float], exact_after: int) -> bool:
-    """Whether exact steps lead nowhere, by the residuals of a solve so far."""
-    return len(sizes) > exact_after + STALLED_AFTER and min(sizes[-STALLED_AFTER:]) > STALLED * min(sizes[:-STALLED_AFTER])
+def stalls(sizes: Sequence[float], options: NewtonOptions) -> bool:
+    """Whether exact steps lead nowhere, by the residuals of a solve so far, and that is to end it."""
+    if options.patient or len(sizes) <= options.exact_after + STALLED_AFTER:
+        return False
+    return min(sizes[-STALLED_AFTER:]) > STALLED * min(sizes[:-STALLED_AFTER])
 
 
 @dataclass
@@ -188,7 +192,7 @@ class Newton:
                 return SolveStatus.NONFINITE, iteration, residual
             if iteration > 0 and size <= goal:
                 return SolveStatus.CONVERGED, iteration, residual
-            if iteration == limit or stalls(sizes, self.options.exact_after):
+            if iteration == limit or stalls(sizes, self.options):
                 return SolveStatus.MAX_ITERATIONS, iteration, residual
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before

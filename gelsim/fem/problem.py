@@ -36,7 +36,7 @@ PENALTY_PER_MODULUS = 30.0
 # Augmentation leaves half the smoothing as overlap: 0.25 µm makes a press of 0.1 mm 0.3 % too soft, profiles have 0.025 µm.
 PENALTY_SMOOTHING_MM = {"fast": 5e-4, "balanced": 5e-4, "reference": 5e-5}
 STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
-MOST_WASTED = 300  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 100
+MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 100 to 210
 TOLERANCES = {"fast": 1e-3, "balanced": 1e-4, "reference": 1e-6}  # imbalance left by Newton; a force is off by a fraction of it
 
 
@@ -121,7 +121,7 @@ class PressProblem:
         pair = gel.groups["coated"], (object_faces + n).astype(np.int32)
         slave, master = reversed(pair) if on_object else pair
         self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
-        self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
+        self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity], patient=held > 0.0)  # a press's last tries
         self.copies = 2 ** len(gel.symmetry)
 
     @cached_property
