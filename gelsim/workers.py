@@ -240,7 +240,7 @@ def in_environment(names: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], parent: int) -> None:
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    end_with(parent)
     work = make(*arguments)
     while True:
         try:
@@ -252,8 +252,12 @@ def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[An
             return
 
 
-def _end_with(parent: int) -> None:
-    """Ends this process when its parent is no more: a killed run leaves nobody at work."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
+def end_with(parent: int) -> None:
+    """Ends this process, some half a second later, when its parent is no more: a killed run leaves nobody at work."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

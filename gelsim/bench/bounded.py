@@ -1,17 +1,19 @@
 """A child process that measures cases one after the other, each within a time and all within a memory: what hangs or grows is ended.
 
-The child imports and compiles once; after it was ended a new one is started for the next case. In a worker process (`gelsim.workers`),
-whose time is bounded by who started it, there is no child: the worker's own memory is bounded.
+The child imports and compiles once; after it was ended a new one is started for the next case. It ends with its parent. In a worker process
+(`gelsim.workers`), whose time is bounded by who started it, there is no child: the worker's own memory is bounded.
 """
 
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
 from gelsim.bench.section import Row
+from gelsim.workers import end_with
 
 GIGABYTE = 1 << 30
 START_SECONDS = 300.0
@@ -39,7 +41,7 @@ class Bounded:
         if self._pipe is None:
             context = multiprocessing.get_context("spawn")
             self._pipe, other = context.Pipe()
-            self._child = context.Process(target=_serve, args=(other, self._measure, self._memory), daemon=True)
+            self._child = context.Process(target=_serve, args=(other, self._measure, self._memory, os.getpid()), daemon=True)
             self._child.start()
             other.close()
             if not self._pipe.poll(START_SECONDS) or self._pipe.recv() != _READY:
@@ -84,7 +86,8 @@ def _row(measure: Callable[..., Row], memory: int, arguments: tuple[object, ...]
         return {"status": type(error).__name__, "message": str(error)}
 
 
-def _serve(pipe: Connection, measure: Callable[..., Row], memory: int) -> None:
+def _serve(pipe: Connection, measure: Callable[..., Row], memory: int, parent: int) -> None:
+    end_with(parent)
     _bound(memory)
     pipe.send(_READY)
     while True:

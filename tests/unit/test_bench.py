@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -206,6 +207,33 @@ def test_a_bounded_case_cannot_take_the_others_with_it() -> None:
     assert [row["status"] for row in found] == ["CONVERGED", "MEMORY", "CONVERGED", "DIED", "TIMEOUT", "CONVERGED"]
     assert found[0]["process"] == found[2]["process"] != found[5]["process"]
     assert "code 7" in found[3]["message"] and "5 s" in found[4]["message"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_bounded_case_ends_with_its_parent(tmp_path: Path) -> None:
+    """Killed while its child is at a case of minutes: without a word to the child, which goes on until the case is done."""
+    (tmp_path / "sleeper.py").write_text(
+        "import os, sys, time\nfrom pathlib import Path\nfrom gelsim.bench.bounded import Bounded\n"
+        "def sleep():\n    Path(sys.argv[-1]).write_text(str(os.getpid()))\n    time.sleep(120)\n    return {}\n"
+        "if __name__ == '__main__':\n    Bounded(sleep, 100.0, 8 << 30)()\n"
+    )
+    told = tmp_path / "pid"
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "sleeper.py"), str(told)])
+    try:
+        child = int(_soon(lambda: told.exists() and told.read_text(), 60.0))
+        assert Path(f"/proc/{child}").exists()
+    finally:
+        parent.kill()
+        parent.wait()
+    assert _soon(lambda: not Path(f"/proc/{child}").exists(), 10.0)
+
+
+def _soon(what: Callable[[], object], seconds: float) -> Any:
+    """What is true within a time, or the last answer."""
+    end = time.monotonic() + seconds
+    while not (answer := what()) and time.monotonic() < end:
+        time.sleep(0.1)
+    return answer
 
 
 def test_verdicts_name_what_is_wrong_and_how_far_pairs_are_apart() -> None:
