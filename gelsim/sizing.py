@@ -108,9 +108,9 @@ def contact_edge(area: Footprint, sizes: MeshSizes) -> float:
 
 def object_edge(area: Footprint, depth: float, edge: float, most_cubes: float) -> float:
     """Edge length in contact [m] of an object that is fine to `depth` [m], the gel's being `edge` (`MeshSizes.most_cubes`)."""
-    wide = np.prod([h - lo if side else 2 * h for lo, h, side in zip(area.low, area.high, area.side, strict=True)])
-    wanted = float(np.cbrt(wide / area.stretch * depth / most_cubes))
-    return float(np.clip(wanted, OBJECT_COARSER * edge, OBJECT_COARSEST * edge))
+    wide = np.prod([h if side else 2 * h for h, side in zip(area.high, area.side, strict=True)])
+    wanted = round(float(np.cbrt(wide / area.stretch * depth / most_cubes)), 12)  # a mesh's key shall not hang on the last digit of a root
+    return max(OBJECT_COARSER * edge, min(wanted, OBJECT_COARSEST * edge))
 
 
 @dataclass(frozen=True, eq=False)

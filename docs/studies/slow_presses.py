@@ -55,7 +55,8 @@ def main() -> None:
         again = [sys.executable, __file__, str(number), "--plan", options.plan, "--seed", str(options.seed), "--alone"]
         try:
             done = subprocess.run(again, capture_output=True, text=True, timeout=options.limit, env=os.environ | settings(1))
-            cells = [line for line in done.stdout.splitlines() if line.startswith("|")] or [f"| {number} | failed: {done.stderr[-200:]}"]
+            cells = [line for line in done.stdout.splitlines() if line.startswith("|")] or [f"| {number}"]
+            cells += [f"| – | failed: {done.stderr.strip()[-100:]} | – | – |"] if done.returncode else []
             print(" ".join(cells), flush=True)
         except subprocess.TimeoutExpired as cut:
             told = (cut.stdout or b"").decode().splitlines()

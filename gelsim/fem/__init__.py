@@ -34,7 +34,7 @@ class Try:
     held: float = 0.0
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     most_wasted: int | None = None
-    """Newton iterations of steps that failed, after which it ends; None: `problem.MOST_WASTED`."""
+    """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
     friction: tuple[float, float] | None = None
     """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
 
@@ -45,11 +45,12 @@ step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
 """μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
 SOON = 60
-"""Failed iterations after which a soft object that friction holds is tried with contact's points on the other side: some four steps."""
+"""Failed iterations after which a soft object that friction holds is tried with contact's points on the other side: some four solves."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 SLIDING = Try(12, on_object=True)
-"""The first try of a smooth soft object that nothing holds sideways: few of the gel's points on each of its smaller faces warp these, and
-their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*)."""
+"""The first try of a smooth soft object that nothing holds sideways, and of a ring or a block with waves that friction holds: few of the
+gel's points on each of its smaller faces warp these, and their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*,
+*Presses that stumble*)."""
 
 
 def quiet_warp() -> None:
@@ -74,11 +75,11 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    A soft object that friction holds is tried with contact's points on either surface; a smooth one that it does not hold begins
-    with its own. Then there are twice the contact points, volume is held at points too, and what sticks slides at friction `STICK`;
-    the last time, where friction was less, it is `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on
-    smooth bodies they cost time and change little. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few
-    per cent stiffer (docs/mechanics.md).
+    A soft object that friction holds is tried with contact's points on either surface, the first time not for long; a ring, a block with
+    waves and a smooth one that friction does not hold begin with their own. Then there are twice the contact points, volume is held at
+    points too, and what sticks slides at friction `STICK`; the last time, where friction was less, it is `GRIP`. Its info says so. More
+    points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps
+    crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -136,7 +137,7 @@ def _slides(body: Body, symmetry: frozenset[str]) -> bool:
 
 
 def _uneven(body: Body) -> bool:
-    """Whether a soft object's underside has waves of its own, whose faces bend more than the gel's."""
+    """Whether an object has waves of its own, or is a ring: its small faces bend more than the gel's."""
     from gelsim.shapes import fine_feature
 
     return fine_feature(body) < np.inf
@@ -144,7 +145,7 @@ def _uneven(body: Body) -> bool:
 
 def _discretised(way: Try) -> dict[str, Any]:
     """What of a try the problem is made with."""
-    made = {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object}
+    made = {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object, "patient": way.held > 0.0}
     return made if way.most_wasted is None else made | {"most_wasted": way.most_wasted}
 
 
@@ -269,7 +270,7 @@ def differentiate_press(
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     first = of_object[0] if of_object else None
     given = scene, gel, body, placement, of_gel, first, "cpu"
-    problem = PressProblem(*given, part_materials=of_object[1:], **_discretised(ways(scene, gel.symmetry)[0]))
+    problem = PressProblem(*given, part_materials=of_object[1:], **_discretised(ways(scene, gel.symmetry)[0]) | {"patient": True})
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
 
 

@@ -176,7 +176,7 @@ class _Batch:
         self.exact_after = np.array([problem.options.exact_after for problem in problems])
         self.inverted = np.zeros(self.count, bool)
         self.stiffened = np.zeros(self.count, int)
-        """Which of SHIFTS was enough the last time."""
+        """Which of SHIFTS was the last to be needed."""
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
         self.moved = np.zeros(self.count, bool)

@@ -183,7 +183,7 @@ class SymmetricSystem:
         self.direct = make_solver(single=_single.get())
         self.factorisations = self.solves = 0
         self.factored = self._fresh = self._worn = False
-        self._stiffened = 0  # which of SHIFTS was enough the last time
+        self._stiffened = 0  # which of SHIFTS was the last to be needed
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern."""

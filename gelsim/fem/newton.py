@@ -41,8 +41,8 @@ class NewtonOptions:
     max_iterations: int = 30
     exact_after: int = 8
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
-    patient: bool = False
-    """Whether a solve goes on to the last iteration where exact steps lead nowhere (`stalls`)."""
+    patient: bool = True
+    """Whether a solve goes on to the last iteration where exact steps lead nowhere (`stalls`): where there is no other try after this."""
 
 
 def stalls(sizes: Sequence[float], options: NewtonOptions) -> bool:

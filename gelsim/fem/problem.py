@@ -36,7 +36,7 @@ PENALTY_PER_MODULUS = 30.0
 # Augmentation leaves half the smoothing as overlap: 0.25 µm makes a press of 0.1 mm 0.3 % too soft, profiles have 0.025 µm.
 PENALTY_SMOOTHING_MM = {"fast": 5e-4, "balanced": 5e-4, "reference": 5e-5}
 STICK_PER_MODULUS = 10.0  # k_t·h of friction over E
-MOST_WASTED = 600  # Newton iterations of steps that failed, in one press: minutes; a step halved to the smallest takes 100 to 210
+MOST_WASTED = 600  # Newton iterations of solves that failed, in one march: minutes; a step halved to the smallest takes 100 to 210
 TOLERANCES = {"fast": 1e-3, "balanced": 1e-4, "reference": 1e-6}  # imbalance left by Newton; a force is off by a fraction of it
 
 
@@ -45,8 +45,8 @@ class PressProblem:
 
     `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`. `held`: the part of κ, in shear moduli, by
     which volume is held at points (`Solids.hold_volume`), of half of κ at most. `on_object`: contact's points are those of the object's
-    faces, and the gel is their master; else the other way round. `most_wasted`: Newton iterations of steps that failed, after which a
-    march ends.
+    faces, and the gel is their master; else the other way round. `most_wasted`: Newton iterations of solves that failed, after which
+    a march ends; `patient`: of its solves (`NewtonOptions`).
     """
 
     on_object = False
@@ -56,7 +56,7 @@ class PressProblem:
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
                  part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
                  held: float = 0.0, on_object: bool = False, tolerance: float | None = None,
-                 most_wasted: int = MOST_WASTED) -> None:  # fmt: skip
+                 most_wasted: int = MOST_WASTED, patient: bool = True) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM
@@ -121,7 +121,7 @@ class PressProblem:
         pair = gel.groups["coated"], (object_faces + n).astype(np.int32)
         slave, master = reversed(pair) if on_object else pair
         self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
-        self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity], patient=held > 0.0)  # a press's last tries
+        self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity], patient=patient)
         self.copies = 2 ** len(gel.symmetry)
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from gelsim.errors import PressEnd, SolveStatus
 from gelsim.fem import GRIP, PLAIN, SLIDING, SOON, Try, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
-from gelsim.fem.linear import SHIFTS, BatchedSystem, find_mkl
-from gelsim.fem.newton import NewtonOptions
-from gelsim.fem.problem import PressProblem
-from gelsim.fem.quasistatic import OVERLAP_MM
+from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
+from gelsim.fem.newton import NewtonOptions, Residual
+from gelsim.fem.problem import MOST_WASTED, PressProblem
+from gelsim.fem.quasistatic import OVERLAP_MM, Request
 from gelsim.materials import gel_material, object_material
 from gelsim.results import Deformation
 from gelsim.scene import Scene
@@ -109,9 +110,11 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
 def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `solve_press` does: those that failed, and one to a force that found no equilibrium on its way. The other is left as it is."""
     asked: list[list[tuple[bool, int, float, float]]] = []
+    patience: list[list[tuple[int, bool]]] = []
 
     def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
         asked.append([(p.on_object, p.contact.points, p.law.stiffness, p.law.friction) for p in problems])
+        patience.append([(p.most_wasted, p.options.patient) for p in problems])
         progress(len(problems), len(problems))
         lost, done = (SolveStatus.CONVERGED, PressEnd.LOST), (SolveStatus.CONVERGED, PressEnd.DEPTH)
         stopped = (SolveStatus.MAX_ITERATIONS, PressEnd.LOST)
@@ -129,6 +132,9 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     # what friction holds has its second try with points on the object
     plain, held, turned = (False, 6), (False, 12), (True, 6)
     assert [[one[:2] for one in tries] for tries in asked] == [[plain] * 4, [held] * 2, [turned], [held], [held]]
+    # who has another try to come gives up sooner, each in its own time though they are solved together
+    assert patience == [[(MOST_WASTED, False)] * 2 + [(SOON, False), (MOST_WASTED, False)], [(MOST_WASTED, True)] * 2,
+                        [(MOST_WASTED, False)], [(MOST_WASTED, True)], [(MOST_WASTED, True)]]  # fmt: skip
     assert asked[1][0][2] == asked[0][1][2] != asked[0][0][2]  # the second one's, by the softer body
     assert [press.info["tried"] for press in presses] == [1, 2, 3, 3]
     assert [press.info["contact_points"] for press in presses] == [6, 12, 12, 12]
@@ -162,7 +168,7 @@ def test_a_smooth_object_that_may_slide_begins_with_its_own_points() -> None:
 
 
 def test_a_press_that_may_begin_on_the_other_side_gives_up_sooner() -> None:
-    """Not its later tries, nor one that has no such other: of these each is the last of its kind."""
+    """Not its later tries, nor one that is rigid or that friction does not hold."""
 
     def patience(body: dict[str, object], friction: float) -> list[int | None]:
         return [way.most_wasted for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
@@ -198,6 +204,68 @@ def test_a_saddle_is_made_stiffer() -> None:
     others = np.setdiff1d(np.arange(after.shape[1]), stiff)
     assert (after[1, others] == turned[1, others]).all()
     assert batch.factorisations.tolist() == [2, 2 + len(SHIFTS)]
+    batch.values.assign(turned.ravel())
+    batch._factorise(both)
+    batch._convexify(both)
+    assert batch.factorisations.tolist() == [3, 2 + len(SHIFTS) + 1 + 2], "it begins below the one that was needed last"
+
+
+@pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
+def test_a_saddle_keeps_its_shift_while_a_neighbour_needs_a_larger_one() -> None:
+    one = scene(200.0)
+    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
+    batch, both = _Batch(problems, None), np.ones(2, bool)
+    batch.residual()
+    batch._assemble(both)
+    rows, stiff = batch.values.numpy().reshape(2, -1).copy(), batch._stiff.numpy()
+    batch.values.assign(rows.ravel())
+    batch._factorise(both)
+    saddles = iter([both.copy(), np.array([False, True]), np.array([False, False])])
+    batch._at_saddle = lambda: next(saddles)
+    batch._convexify(both)
+    after = batch.values.numpy().reshape(2, -1)
+    for mine, share, before in zip(after, SHIFTS, rows, strict=False):
+        assert mine[stiff] == pytest.approx(before[stiff] + share * np.abs(before[stiff]))
+    assert batch.stiffened.tolist() == [0, 1]
+
+
+@pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
+def test_a_saddle_by_itself_begins_below_its_last_shift() -> None:
+    """The twin of the batch's: a diagonal of which one displacement pulls, by 0.03 of what is added at the third shift."""
+    system = SymmetricSystem(np.array([True, True, False]))
+    system.analyse(np.arange(4, dtype=np.int32), np.arange(3, dtype=np.int32))
+    counts = []
+    for _ in range(2):
+        before = system.factorisations
+        system.update(np.array([1.0, -1.0, -1.0]))
+        system.factorise()
+        system._convexify()
+        counts.append(system.factorisations - before)
+    assert counts == [1 + len(SHIFTS), 1 + 2]
+
+
+def test_patience_is_the_same_alone_and_in_a_batch() -> None:
+    """A residual that stays: a patient solve takes all iterations there are, another ends where exact steps lead nowhere."""
+    one = scene(200.0)
+    for patient in (True, False):
+        problem = PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu", patient=patient)
+
+        def stays(*given: Any, residual: Callable[..., Residual] = problem.newton.residual, **named: Any) -> Residual:
+            return replace(residual(*given, **named), imbalance=1.0)
+
+        problem.newton.residual = stays
+        assert problem.newton.solve(1.0).iterations == (30 if patient else 14)
+        ended: list[int] = []
+        batch = _Batch([problem], None)
+        batch._take(0, Request(1.0))
+        for number in range(40):
+            batch.iteration[0] = number
+            residual = batch.residual()
+            residual.imbalance[0] = residual.volume_error[0] = 1.0
+            if (report := batch._ended(0, residual)) is not None:
+                ended.append(report.iterations)
+                break
+        assert ended == [30 if patient else 14]
 
 
 class NoGood:
