@@ -14,7 +14,7 @@ import time
 from gelsim import materials, pipeline
 from gelsim.bench.presses import facts
 from gelsim.bench.random_scenes import draw
-from gelsim.fem import CONTACT_POINTS, HELD
+from gelsim.fem import HELD, PLAIN
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.scene_file import build_scene
@@ -33,8 +33,9 @@ for factor in options.factors:
     of_gel, of_object = materials.gel_material(scene), materials.object_material(scene)
     for number in options.tries:
         start = time.process_time()
-        held = 0.0 if number == 1 else HELD
-        tried = PressProblem(scene, gel, body, placement, of_gel, of_object, "cpu", contact_points=CONTACT_POINTS[number - 1], held=held)
+        way = (PLAIN, HELD)[number - 1]
+        points, held = way.contact_points, way.held
+        tried = PressProblem(scene, gel, body, placement, of_gel, of_object, "cpu", contact_points=points, held=held)
         row = facts(run_press(tried, throw=False), scene.press.frames)
         print(
             f"| {factor:g} | {number} | {row['status'].lower()} | {row['approach_mm']:.2f} | {-row['force_n'][2]:.3f} | "
