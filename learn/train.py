@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import hashlib
+import importlib
 import json
 import math
 import os
@@ -431,6 +432,9 @@ def _place(device: str) -> Iterator[Place]:
     if chosen.type == "cuda":
         chosen = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
         torch.cuda.set_device(chosen)
+    # Imported by torch's optimisers, it keeps a process group that is there already for ever; its threads then run on while the interpreter
+    # ends, which now and then aborts the process (torch 2.13, gloo).
+    importlib.import_module("torch._dynamo")
     distributed.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
     try:
         yield Place(distributed.get_rank(), world, chosen)
