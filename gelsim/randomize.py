@@ -147,15 +147,26 @@ def load_plan(name: str) -> Plan:
     """
     path = plan_path(name)
     table = _kept(path) if path.suffix == ".json" else read_toml(path, "--plan")
-    if "base" in table:
-        # One level deep: a table's keys beat those of the same table, everything else is replaced.
-        below = read_toml(plan_path(str(table.pop("base"))), "--plan")
-        both = {key: below[key] | table[key] for key in table if isinstance(table[key], dict) and isinstance(below.get(key), dict)}
-        table = below | table | {key: value for key, value in both.items() if not any(kind in table[key] for kind in DRAWS)}
     try:
-        return _plan(table)
+        return _plan(_upon_base(table))
     except SceneError as error:
         raise SceneError(f"plan {path.name}: {error}") from None
+
+
+def _upon_base(table: Layer, above: tuple[str, ...] = ()) -> Layer:
+    """A plan's table upon that of its base, which may have one too (`above`: the bases on the way here).
+
+    One level deep: a table's keys beat those of the same table, everything else is replaced.
+    """
+    if "base" not in table:
+        return table
+    name = str(table["base"])
+    if name in above:
+        raise SceneError(f"base = {name!r}: a plan cannot start from itself ({' -> '.join((*above, name))})")
+    below = _upon_base(read_toml(plan_path(name), "--plan"), (*above, name))
+    own = {key: value for key, value in table.items() if key != "base"}
+    both = {key: below[key] | own[key] for key in own if isinstance(own[key], dict) and isinstance(below.get(key), dict)}
+    return below | own | {key: value for key, value in both.items() if not any(kind in own[key] for kind in DRAWS)}
 
 
 def _kept(path: Path) -> Layer:

@@ -173,3 +173,15 @@ def test_a_plan_that_is_not_there_names_those_that_are():
 def test_only_fields_can_be_drawn(table: dict[str, Any]):
     with pytest.raises(SceneError, match="whole table|unknown field"):
         check_fields(table, "x")
+
+
+def test_a_base_may_have_a_base(tmp_path: Path) -> None:
+    upon, twice = tmp_path / "upon.toml", tmp_path / "twice.toml"
+    upon.write_text('base = "gap"\nend_points = [1.0]\nsensors.count = 2\n')
+    plan, gap = load_plan(str(upon)), load_plan("gap")
+    assert (plan.end_points, plan.sensors, plan.mode, plan.press_fields) == ((1.0,), 2, "path", gap.press_fields)
+    assert plan.sensor_fields == gap.sensor_fields
+    upon.write_text(f'base = "{twice}"\n')
+    twice.write_text(f'base = "{upon}"\n')
+    with pytest.raises(SceneError, match="cannot start from itself"):
+        load_plan(str(upon))
