@@ -3,6 +3,7 @@
 A field of the scene, by its full name, has a value or a distribution:
 
     {uniform = [a, b]}  {log_uniform = [a, b]}  {normal = [mean, sd], within = [a, b]}  {integers = [a, b]}
+    {uniform = [a, b], without = [[c, d], ...]}      but not between c and d; of log_uniform too
     {choice = [...], weights = [...]}
     {cycle = [...]}     the values in turn, by the number of what is drawn
     {chance = p, then = …, else = …}      and any of them with  relative = "times" | "plus"  of what the field is without it;
@@ -17,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,9 @@ from gelsim.scene_file import Layer
 from gelsim.units import unit_of
 
 DRAWS = ("uniform", "log_uniform", "normal", "integers", "choice", "cycle", "chance")
-MODIFIERS = {"normal": ("within",), "choice": ("weights",), "chance": ("then", "else")}
+MODIFIERS = {
+    "uniform": ("without",), "log_uniform": ("without",), "normal": ("within",), "choice": ("weights",), "chance": ("then", "else"),
+}  # fmt: skip
 TRIES = 1000
 """Of a truncated normal, before its range is said to be impossible."""
 
@@ -95,8 +98,17 @@ def _check_range(kind: str, value: Layer, where: str, name: str | None) -> None:
         # Beyond four standard deviations less than one of ten thousand draws falls: such a range was not meant.
         if deviation < 0 or mean + 4 * deviation < low or mean - 4 * deviation > high:
             raise SceneError(f"{where}: normal = [{mean:g}, {deviation:g}] hardly ever falls within [{low:g}, {high:g}]")
+    if "without" in value:
+        _check_gaps(value["without"], low, high, where)
     for end in (low, high):
         _check_value(end, where, name)
+
+
+def _check_gaps(gaps: Any, low: float, high: float, where: str) -> None:
+    pairs = isinstance(gaps, list) and all(isinstance(gap, list) and len(gap) == 2 and all(map(is_number, gap)) for gap in gaps)
+    ends = [low, *(end for gap in gaps for end in gap), high] if pairs else []
+    if not pairs or ends != sorted(ends) or sum(ends[1::2]) - sum(ends[::2]) <= 0:
+        raise SceneError(f"{where}: without = {gaps!r}: expected ascending pairs within [{low:g}, {high:g}] that leave something")
 
 
 def _check_value(value: Any, where: str, name: str | None) -> None:
@@ -136,9 +148,9 @@ def draw(value: Any, rng: np.random.Generator, number: int = 0, base: Any = None
     kind = next(key for key in value if key in DRAWS)
     argument = value[kind]
     if kind == "uniform":
-        drawn: Any = float(rng.uniform(*argument))
+        drawn: Any = _between(rng, argument, value.get("without", ()))
     elif kind == "log_uniform":
-        drawn = float(np.exp(rng.uniform(*np.log(argument))))
+        drawn = float(np.exp(_between(rng, np.log(argument), [np.log(gap) for gap in value.get("without", ())])))
     elif kind == "integers":
         drawn = int(rng.integers(argument[0], argument[1] + 1))
     elif kind == "cycle":
@@ -159,6 +171,14 @@ def draw(value: Any, rng: np.random.Generator, number: int = 0, base: Any = None
         return drawn * base
     if value.get("relative") == "plus":
         return drawn + base
+    return drawn
+
+
+def _between(rng: np.random.Generator, ends: Sequence[float], gaps: Sequence[Sequence[float]]) -> float:
+    """Evenly between two ends, but in none of the gaps (ascending): the gaps are shut, and opened again below what was drawn."""
+    drawn = float(rng.uniform(ends[0], ends[1] - sum(last - first for first, last in gaps)))
+    for first, last in gaps:
+        drawn += last - first if drawn >= first else 0.0
     return drawn
 
 

@@ -32,6 +32,8 @@ def presses(paper: Catalogue) -> list:
     [
         ({"uniform": [2.0, 4.0]}, 2, 4, 3.0),
         ({"log_uniform": [1.0, np.e**2]}, 1, np.e**2, (np.e**2 - 1) / 2),
+        ({"uniform": [0.0, 4.0], "without": [[1.0, 2.0], [2.0, 3.0]]}, 0, 4, 2.0),
+        ({"log_uniform": [1.0, np.e**2], "without": [[1.0, np.e]]}, np.e, np.e**2, np.e**2 - np.e),
         ({"normal": [1.0, 0.5], "within": [0.0, 2.0]}, 0, 2, 1.0),
         ({"integers": [1, 3]}, 1, 3, 2.0),
         ({"choice": [1.0, 5.0], "weights": [3, 1]}, 1, 5, 2.0),
@@ -44,6 +46,28 @@ def test_draws_have_the_declared_range_and_mean(distribution: dict, low: float, 
     assert low <= drawn.min() and drawn.max() <= high
     # Four standard errors.
     assert abs(drawn.mean() - mean) < 4 * drawn.std() / np.sqrt(len(drawn))
+
+
+def test_nothing_is_drawn_from_a_gap():
+    rng = np.random.default_rng(1)
+    distribution = {"uniform": [8.0, 87.0], "without": [[18.0, 20.0], [60.0, 62.0]]}
+    drawn = np.array([draw(distribution, rng) for _ in range(4000)])
+    assert not ((drawn > 18) & (drawn < 20)).any() and not ((drawn > 60) & (drawn < 62)).any()
+    # As many between the gaps as their share: 40 of 75, four standard errors.
+    assert abs(((drawn >= 20) & (drawn <= 60)).mean() - 40 / 75) < 4 * 0.5 / np.sqrt(len(drawn))
+
+
+def test_what_is_trained_on_by_varied_is_in_no_row_of_paper2017(paper: Catalogue):
+    """Same sensors for the same seed; no hardness and no radius that a test row is about."""
+    varied = Catalogue(load_plan("varied"), 0)
+    assert all(varied.sensor_scene(number) == paper.sensor_scene(number) for number in range(20))
+    radii = next(kind for kind in paper.plan.groups[0].kinds if kind.split == "novel_shape").fields["object.radius_mm"]["choice"]
+    seen = [varied.press(number) for number in range(250)]
+    assert {press.split for press in seen} == {"train", "validation"} and len({press.object.name for press in seen}) > 240
+    for body in (press.scene.object for press in seen):
+        assert body.shore_00 is None or min(abs(body.shore_00 - held) for held in paper.plan.held_hardness) >= 1
+        assert body.shape not in ("hemisphere", "cylinder") or min(abs(np.log(body.radius_mm / radius)) for radius in radii) > 0.05
+        assert body.shape not in ("frustum", "box", "punch", "tomato", "candy", "tube")
 
 
 def test_relative_draws_and_cycles():
@@ -130,6 +154,9 @@ def planned(tmp_path: Path, old: str, new: str) -> str:
         ("uniform = [0.3, 0.4]", "uniform = [0.4, 0.3]", "the first is above the second"),
         ("uniform = [0.3, 0.4]", "uniform = [0.3, 99.0]", r"= 99: allowed for press.depth_mm is 0.001 … 50 mm"),
         ("uniform = [0.3, 0.4]", "normal = [0.3, 0.01], within = [1.0, 2.0]", "hardly ever falls within"),
+        ("uniform = [0.3, 0.4]", "uniform = [0.3, 0.4], without = [[0.3, 0.45]]", r"ascending pairs within \[0.3, 0.4\]"),
+        ("uniform = [0.3, 0.4]", "uniform = [0.3, 0.4], without = [[0.3, 0.4]]", "that leave something"),
+        ("uniform = [0.3, 0.4]", "uniform = [0.3, 0.4], without = [0.35]", "ascending pairs"),
         ("uniform = [0.3, 0.4]", "unifrom = [0.3, 0.4]", "did you mean 'uniform'"),
         ("uniform = [0.3, 0.4]", "uniform = [0.3, inf]", "expected two numbers"),
         ('"press.depth_mm"', '"press.dpeth_mm"', r"unknown field; did you mean 'depth_mm'"),
