@@ -115,6 +115,8 @@ class TrainConfig:
     seed: int = 0
     precision: str = "auto"
     """of the convolutions: auto is bfloat16 on CUDA, float32 on a CPU"""
+    compile: bool = False
+    """compiles the convolutions first (torch.compile: some 20 s, and a compiler): long trainings on a GPU are shorter by it"""
     average: float = 0.999
     """share of its past that the weights' running average keeps each step; 0: no average"""
     presses: int = 0
@@ -143,7 +145,7 @@ class Config:
 
 
 # Fields that came later, and what a config that lacks them meant.
-_ADDED: dict[str, dict[str, Any]] = {"model": {"show_gel": False}, "augment": {"hide_gel": 0.0}}
+_ADDED: dict[str, dict[str, Any]] = {"model": {"show_gel": False}, "augment": {"hide_gel": 0.0}, "train": {"compile": False}}
 
 # What a preset changes; flags beat it.
 PRESETS: dict[str, dict[str, Any]] = {

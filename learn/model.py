@@ -264,6 +264,11 @@ def build(config: Config) -> Network:
     return PaperNet(config.model) if config.model.model == "paper" else PressNet(config.model)
 
 
+def compile_convolutions(network: Network) -> None:
+    """In place: weights keep their names, and copies made before stay as they were."""
+    (network.features if isinstance(network, PaperNet) else network.stages).compile()
+
+
 def parameter_count(network: nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters())
 

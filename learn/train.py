@@ -35,7 +35,7 @@ from learn.config import Config, LearnError, TrainConfig, from_plain, to_plain
 from learn.data import Batch, Press, held_presses, sides
 from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.logs import Curves
-from learn.model import Network, PaperNet, build, load_vgg, parameter_count
+from learn.model import Network, PaperNet, build, compile_convolutions, load_vgg, parameter_count
 from learn.novelty import fit_novelty
 from learn.recordings import CACHE, Archive, Progress, archive
 from learn.stream import Stream, share, varied
@@ -116,6 +116,8 @@ def _train(
     kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
     network = _network(config, kept, init, vgg, stream, parts).to(place.device)
     optimizer, averaged = _optimizer(network, config), _averaged(network, kept)
+    if config.train.compile:
+        compile_convolutions(network)
     first = 0
     best = math.inf
     if kept is not None:
