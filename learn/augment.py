@@ -78,14 +78,14 @@ def randomise(stack: torch.Tensor, looks: NDArray, noises: Sequence[tuple[float,
     count, length = stack.shape[:2]
 
     def per_press(values: NDArray) -> torch.Tensor:
-        tensor = torch.from_numpy(np.array(values, np.float32, order="C")).to(stack.device)
+        tensor = torch.from_numpy(np.array(values, np.float32, order="C")).to(stack.device, non_blocking=True)
         return tensor.reshape(count, 1, *([1] if tensor.ndim == 1 else [tensor.shape[1]]), 1, 1)
 
     if config.augment:
         if config.crop > 0 or config.mirror:
             stack = _cut(stack, looks)
         if config.swap_colours:
-            which = torch.from_numpy(looks["colours"].copy()).to(stack.device)
+            which = torch.from_numpy(looks["colours"].copy()).to(stack.device, non_blocking=True)
             stack = stack.gather(2, which.view(count, 1, 3, 1, 1).expand(count, length, 3, *stack.shape[3:]))
         gain = per_press(looks["gain"]).repeat(1, length, 1, 1, 1)
         gain[:, 1:] *= per_press(looks["drift"])
@@ -110,7 +110,8 @@ def _cut(stack: torch.Tensor, looks: NDArray) -> torch.Tensor:
     affine = np.zeros((count, 2, 3), np.float32)
     affine[:, 0, 0], affine[:, 1, 1] = looks["size"].T
     affine[:, :, 2] = looks["centre"]
-    grid = functional.affine_grid(torch.from_numpy(affine).to(stack.device), [count, 1, rows, columns], align_corners=False)
+    boxes = torch.from_numpy(affine).to(stack.device, non_blocking=True)
+    grid = functional.affine_grid(boxes, [count, 1, rows, columns], align_corners=False)
     flat = functional.grid_sample(
         stack.reshape(count, length * colours, rows, columns), grid, mode="bilinear", padding_mode="border", align_corners=False
     )

@@ -27,7 +27,7 @@ gelsim-learn reads hardness (Shore 00) from videos of a tactile sensor that is p
   gelsim-learn train --data DIR --out RUN                    our network
   gelsim-learn train --data DIR --out RUN --model paper --vgg-weights vgg16.pth
   torchrun --nproc-per-node 4 -m learn.cli train --data DIR --out RUN --workers 12
-  gelsim-learn train --data SIM --real DIR --init default --real-presses 20 --rate 1e-4 --steps 500 --out TUNED
+  gelsim-learn train --data SIM --real DIR --init varied --real-presses 20 --rate 1e-4 --steps 500 --out TUNED
   gelsim-learn eval --model RUN/model.pt --data DIR --out RUN/eval
   gelsim-learn predict --model RUN/model.pt press.mp4
 
@@ -90,7 +90,10 @@ def _parser() -> Parser:
                 help_text = f"{docs.get(item.name, '')} (default: {shown})".strip().replace("%", "%%")
                 group.add_argument("--" + item.name.replace("_", "-"), dest=f"config.{item.name}", metavar="VALUE", help=help_text)
     evaluate = commands.add_parser("eval", help="the table of the paper, plots and errors of a network on test presses")
-    evaluate.add_argument("--model", required=True, metavar="CKPT", help="a checkpoint, or the name of a shipped one")
+    evaluate.add_argument(
+        "--model", action="append", required=True, metavar="CKPT",
+        help="a checkpoint, or the name of a shipped one; given more than once, they read as one",
+    )  # fmt: skip
     evaluate.add_argument("--data", required=True, type=Path, metavar="DIR", help="a dataset with test splits")
     evaluate.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: eval-DATA beside the checkpoint)")
     evaluate.add_argument("--row", action="append", default=[], metavar="SPLIT", help="test this split (default: the paper's rows)")
@@ -101,7 +104,11 @@ def _parser() -> Parser:
     evaluate.add_argument("--no-baselines", action="store_true", help="leave the baselines out: with many presses they take their time")
     evaluate.add_argument("--force", action="store_true", help="write over an existing result")
     predict = commands.add_parser("predict", help="hardness and its spread from videos, folders of frames, episodes or datasets")
-    predict.add_argument("--model", default="default", metavar="CKPT", help="a checkpoint, or the name of a shipped one (default: default)")
+    predict.add_argument(
+        "--model", action="append", metavar="CKPT",
+        help="a checkpoint, or the name of a shipped one; given more than once, they read as one (default: default, which is "
+        "paper2017 and varied)",
+    )  # fmt: skip
     predict.add_argument("videos", nargs="+", type=Path, metavar="VIDEO", help="a video, a folder of frames, an episode's tar, a dataset")
     predict.add_argument("--background", type=Path, metavar="FILE", help="a picture without contact (default: the first frame)")
     predict.add_argument("--start", type=float, default=0.0, metavar="S", help="where in the video the press begins [s] (default: 0)")
@@ -127,9 +134,9 @@ def _train(options: argparse.Namespace) -> int:
     if options.resume and options.init:
         raise LearnError("--init: a run that goes on has begun already; leave --init or --resume out")
     from learn import train
-    from learn.predict import shipped_model
+    from learn.predict import find_model
 
-    init = shipped_model(options.init, "--init") if options.init else None
+    init = find_model(options.init, "--init") if options.init else None
     if options.resume:
         config = train.read_run(options.out)
         wanted = configure_from(config, changes)
@@ -172,13 +179,13 @@ def configure_from(config: Config, changes: dict[str, Any]) -> Config:
 
 def _evaluate(options: argparse.Namespace) -> int:
     from learn import evaluate
-    from learn.predict import shipped_model
+    from learn.predict import find_models
 
-    model = shipped_model(options.model)
-    out = options.out or model.parent / f"eval-{options.data.resolve().name}"
+    models = find_models(options.model)
+    out = options.out or models[0].parent / f"eval-{options.data.resolve().name}"
     with console.progress_bars() as progress:
         report = evaluate.evaluate(
-            model, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
+            models, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
             workers=options.workers, baselines=not options.no_baselines, plan=options.plan, progress=progress,
         )  # fmt: skip
     print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
@@ -188,10 +195,10 @@ def _evaluate(options: argparse.Namespace) -> int:
 def _predict(options: argparse.Namespace) -> int:
     from learn import predict
 
-    model = predict.shipped_model(options.model)
+    models = predict.find_models(options.model or ["default"])
     answers = []
     for answer in predict.predict(
-        model, options.videos, background=options.background, start=options.start, seconds=options.seconds, sensor=options.sensor,
+        models, options.videos, background=options.background, start=options.start, seconds=options.seconds, sensor=options.sensor,
         device=options.device,
     ):  # fmt: skip
         answers.append(answer)

@@ -21,12 +21,10 @@ from gelsim.dataset import Dataset, load_dataset
 from gelsim.files import whole_file
 from learn import plots, scores
 from learn.baselines import NAMES, Baselines, fit_baselines, over_time
-from learn.checkpoint import Checkpoint, load
-from learn.config import Config, LearnError
+from learn.config import InputConfig, LearnError
 from learn.data import held_presses
-from learn.estimate import batches, estimate, pick_device
-from learn.model import Network
-from learn.novelty import novelty_from_plain
+from learn.ensemble import Ensemble
+from learn.estimate import pick_device
 from learn.recordings import CACHE, Archive, Progress, archive
 from learn.splits import TEST_ROWS, TRAIN, VALIDATION, check_splits
 
@@ -51,7 +49,7 @@ CHUNK = 64
 
 
 def evaluate(
-    model: Path,
+    models: Sequence[Path],
     data: Path,
     out: Path,
     *,
@@ -67,7 +65,8 @@ def evaluate(
     """Writes table.md, report.json, predictions.csv and plots into `out`.
 
     Args:
-        model: A checkpoint. rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
+        models: Checkpoints; of several the readings are one (`learn.ensemble`).
+        rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
         cache: Of recordings; None: the run's own, where there is one. workers: Processes that fill it.
         baselines: Also learn and test those.
         plan: Of a dataset without pictures that does not keep its own.
@@ -78,30 +77,29 @@ def evaluate(
     """
     if out.exists() and any(out.iterdir()) and not force:
         raise LearnError(f"--out {out}: exists; give --force to write over it")
-    dataset, checkpoint = load_dataset(data), load(model)
+    dataset, ensemble = load_dataset(data), Ensemble(models, pick_device(device))
     check_splits(dataset.rows, dataset.splits)
     chosen = list(rows) or [name for name in TEST_ROWS if dataset.splits.get(name)] or [VALIDATION]
     for name in chosen:
         if not dataset.splits.get(name):
             raise LearnError(f"eval: {data} has no split {name!r}; it has {', '.join(name for name in dataset.splits) or 'none'}")
     out.mkdir(parents=True, exist_ok=True)
-    if cache is None and (model.parent / CACHE).is_dir():
-        cache = model.parent / CACHE
+    if cache is None and (models[0].parent / CACHE).is_dir():
+        cache = models[0].parent / CACHE
     scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
     try:
-        return _evaluate(dataset, checkpoint, model, out, chosen, device, cache or scratch, workers, baselines, plan, progress)
+        return _evaluate(dataset, ensemble, models, out, chosen, device, cache or scratch, workers, baselines, plan, progress)
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _evaluate(
-    dataset: Dataset, checkpoint: Checkpoint, model: Path, out: Path, chosen: Sequence[str], device: str, cache: Path | None, workers: int,
-    baselines: bool, plan: str | None, progress: Progress | None,
+    dataset: Dataset, ensemble: Ensemble, models: Sequence[Path], out: Path, chosen: Sequence[str], device: str, cache: Path | None,
+    workers: int, baselines: bool, plan: str | None, progress: Progress | None,
 ) -> dict[str, Any]:  # fmt: skip
-    everything = archive(dataset, [row["index"] for row in dataset.rows], checkpoint.config.input, cache, progress, workers, plan, device)
-    learnt = _learn_baselines(dataset, everything, checkpoint.config) if baselines else None
-    network = checkpoint.build().to(pick_device(device))
+    everything = archive(dataset, [row["index"] for row in dataset.rows], ensemble.inputs, cache, progress, workers, plan, device)
+    learnt = _learn_baselines(dataset, everything, ensemble.inputs) if baselines else None
     total = sum(len(dataset.splits[name]) for name in chosen)
     found: dict[str, list[dict[str, Any]]] = {}
     done = 0
@@ -109,12 +107,19 @@ def _evaluate(
         found[name] = []
         for start in range(0, len(dataset.splits[name]), CHUNK):
             part = everything.only([dataset.positions[index] for index in dataset.splits[name][start : start + CHUNK]])
-            found[name] += _predict(part, checkpoint, network, learnt)
+            found[name] += _predict(part, ensemble, learnt)
             done = done + len(dataset.splits[name][start : start + CHUNK])
             if progress:
                 progress("evaluating", done, total)
-    report: dict[str, Any] = {"model": model.name, "step": checkpoint.step, "data": dataset.folder.resolve().name, "rows": {}}
-    report |= {"domain": dataset.info.get("domain"), "training": checkpoint.provenance}
+    report: dict[str, Any] = {
+        "models": [
+            {"model": path.name, "step": kept.step, "training": kept.provenance}
+            for path, kept in zip(models, ensemble.checkpoints, strict=True)
+        ],
+        "data": dataset.folder.resolve().name,
+        "domain": dataset.info.get("domain"),
+        "rows": {},
+    }
     for name, predictions in found.items():
         report["rows"][name] = _row_report(name, predictions, learnt is not None)
     everything = [prediction for predictions in found.values() for prediction in predictions if prediction["true"] is not None]
@@ -163,37 +168,32 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _learn_baselines(dataset: Dataset, everything: Archive, config: Config) -> Baselines | None:
+def _learn_baselines(dataset: Dataset, everything: Archive, inputs: InputConfig) -> Baselines | None:
     known = {row["index"] for row in dataset.rows if row["shore_00"] is not None}
     part = everything.only([dataset.positions[index] for index in dataset.splits.get(TRAIN, []) if index in known])
     if len(part) < 3:
         return None
     curves = list(zip(part.signals, part.features, strict=True))
-    return fit_baselines(curves, np.array([row["shore_00"] for row in part.rows], float), config.input)
+    return fit_baselines(curves, np.array([row["shore_00"] for row in part.rows], float), inputs)
 
 
-def _predict(part: Archive, checkpoint: Checkpoint, network: Network, learnt: Baselines | None) -> list[dict[str, Any]]:
-    config = checkpoint.config
-    novelty = novelty_from_plain(checkpoint.novelty)
-    presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
+def _predict(part: Archive, ensemble: Ensemble, learnt: Baselines | None) -> list[dict[str, Any]]:
+    presses = held_presses(part, ensemble.inputs, ensemble.repeat, ensemble.seed)
     seen = [number for number, press in enumerate(presses) if press is not None]
-    mean = np.full(len(presses), float(network.centre))
-    spread = np.full(len(presses), float(network.scale))
-    distance = np.full(len(presses), np.nan)
+    reading = ensemble.unread(len(presses))
     if seen:
-        said = estimate(network, batches([press for press in presses if press is not None], network.centre.device))
-        mean[seen], spread[seen] = said.mean, said.spread * checkpoint.spread_factor
-        if novelty is not None:
-            distance[seen] = novelty.distance(said.statistics).numpy() / novelty.threshold
-    curves = [over_time(curve, config.input) for curve in zip(part.signals, part.features, strict=True)]
+        said = ensemble.read([press for press in presses if press is not None])
+        for kept, found in ((reading.mean, said.mean), (reading.spread, said.spread), (reading.novelty, said.novelty)):
+            kept[seen] = found
+    curves = [over_time(curve, ensemble.inputs) for curve in zip(part.signals, part.features, strict=True)]
     bare = {name: learnt.predict(name, curves) for name in NAMES} if learnt else {}
     return [
         {
             "row": row,
             "true": None if row["shore_00"] is None else float(row["shore_00"]),
-            "estimate": float(mean[number]),
-            "spread": float(spread[number]),
-            "novelty": float(distance[number]),
+            "estimate": float(reading.mean[number]),
+            "spread": float(reading.spread[number]),
+            "novelty": float(reading.novelty[number]),
             "contact": presses[number] is not None,
             **{name: float(values[number]) for name, values in bare.items()},
         }

@@ -12,32 +12,43 @@ import numpy as np
 from gelsim.dataset import gel_facts
 from gelsim.errors import GelsimError
 from gelsim.scene_file import PRESET_SECTIONS, build_scene, load_scene, read_layer
-from learn.checkpoint import load
 from learn.config import LearnError
 from learn.data import HARDEST, Gel, choose, gel_of
-from learn.estimate import batches, estimate, pick_device
-from learn.novelty import novelty_from_plain
+from learn.ensemble import Ensemble
+from learn.estimate import pick_device
 from learn.video import Source, sources
 
-SHIPPED = "default"
-"""The name of the checkpoint in assets/models/."""
+SHIPPED = {"default": ("paper2017", "varied")}
+"""Names that stand for several of the checkpoints in assets/models/, which read together."""
 
 
-def shipped_model(name: str, flag: str = "--model") -> Path:
-    """A checkpoint by path, or by name among the shipped ones; `flag` is how it was asked for.
+def find_models(names: Sequence[str], flag: str = "--model") -> list[Path]:
+    """Checkpoints by path, or by name among the shipped ones; `flag` is how they were asked for.
 
     Raises:
         LearnError: There is none.
     """
-    path = Path(name)
-    if path.suffix or path.exists():
-        return path
-    beside = Path(__file__).parent.parent
-    places = [beside / folder / "models" / f"{name}.pt" for folder in ("gelsim/_assets", "assets")]
-    for place in places:
-        if place.is_file():
-            return place
-    raise LearnError(f"{flag} {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
+    found = []
+    for name in names:
+        path = Path(name)
+        if path.suffix or path.exists():
+            found.append(path)
+            continue
+        beside = Path(__file__).parent.parent
+        for part in SHIPPED.get(name, (name,)):
+            places = [beside / folder / "models" / f"{part}.pt" for folder in ("gelsim/_assets", "assets")]
+            if not (there := [place for place in places if place.is_file()]):
+                raise LearnError(f"{flag} {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
+            found.append(there[0])
+    return found
+
+
+def find_model(name: str, flag: str) -> Path:
+    """As `find_models`, where it must be one."""
+    found = find_models([name], flag)
+    if len(found) > 1:
+        raise LearnError(f"{flag} {name}: stands for {len(found)} networks; name one: {', '.join(path.stem for path in found)}")
+    return found[0]
 
 
 def gel_of_sensor(name: str) -> Gel:
@@ -53,7 +64,7 @@ def gel_of_sensor(name: str) -> Gel:
 
 
 def predict(
-    model: Path,
+    models: Sequence[Path],
     videos: Sequence[Path],
     *,
     background: Path | None = None,
@@ -65,6 +76,7 @@ def predict(
     """One answer a press, as they come.
 
     Args:
+        models: Checkpoints; of several the readings are one (`learn.ensemble`).
         sensor: Whose gel it is (`gel_of_sensor`); None: what a press itself says of it, if anything.
     Yields:
         source, status ("ok", "no contact" or "unreadable"), note; when ok also shore_00, spread (None: the network knows none), frames,
@@ -73,13 +85,10 @@ def predict(
         LearnError, SceneError: The checkpoint or the sensor cannot be used, or the network takes no gel.
     """
     gel = None if sensor is None else gel_of_sensor(sensor)
-    checkpoint, where = load(model), pick_device(device)
-    network = checkpoint.build().to(where)
-    novelty = novelty_from_plain(checkpoint.novelty)
-    inputs, repeat = checkpoint.config.input, checkpoint.config.model.model == "paper"
-    asks = checkpoint.config.model.show_gel and not repeat
-    if gel is not None and not asks:
-        raise LearnError(f"--sensor {sensor}: {model.name} takes no gel; leave it out")
+    ensemble = Ensemble(models, pick_device(device))
+    inputs = ensemble.inputs
+    if gel is not None and not ensemble.asks_gel:
+        raise LearnError(f"--sensor {sensor}: {models[0].name} takes no gel; leave it out")
     for video in videos:
         for name, read in _listed(video, inputs, background, start, seconds):
             try:
@@ -87,7 +96,7 @@ def predict(
             except GelsimError as error:
                 yield {"source": name, "status": "unreadable", "note": str(error)}
                 continue
-            press = choose(source.recording, inputs, repeat)
+            press = choose(source.recording, inputs, ensemble.repeat)
             if press is None:
                 peak = float(source.recording.signal.max())
                 note = (
@@ -97,20 +106,20 @@ def predict(
                 yield {"source": source.name, "status": "no contact", "note": note, "true": source.true}
                 continue
             press = replace(press, gel=source.gel if gel is None else gel)
-            said = estimate(network, batches([press], where))
-            spread = float(said.spread[0]) * checkpoint.spread_factor
-            distance = None if novelty is None else float(novelty.distance(said.statistics)[0]) / novelty.threshold
-            unlike = distance is not None and not distance <= 1
+            said = ensemble.read([press])
+            mean, spread, distance = (float(part[0]) for part in (said.mean, said.spread, said.novelty))
+            fitted = np.isfinite(distance)
+            unlike = bool(fitted and distance > 1)
             yield {
                 "source": source.name,
                 "status": "ok",
-                "shore_00": float(said.mean[0]),
+                "shore_00": mean,
                 "spread": spread if np.isfinite(spread) else None,
                 "frames": len(press.pictures),
-                "novelty": distance,
+                "novelty": distance if fitted else None,
                 "unlike_training": unlike,
                 "true": source.true,
-                "note": _note(float(said.mean[0]), distance if unlike else None, asks and not np.isfinite(press.gel).all()),
+                "note": _note(mean, distance if unlike else None, ensemble.asks_gel and not np.isfinite(press.gel).all()),
             }
 
 

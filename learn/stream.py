@@ -1,8 +1,9 @@
 """An endless stream of randomised presses, batch by batch, made on the device that trains.
 
 What a step sees is a function of (seed, step) alone, whatever the number of devices, so a training that goes on after an interruption sees
-what it would have seen. Noise alone differs between a CPU and a GPU, whose generators are others. Recordings lie in the GPU's memory where
-they take less than MOST_MEMORY of what is free; else, and on a CPU, they are read where they are.
+what it would have seen. Noise alone differs between a CPU and a GPU, whose generators are others. Nothing here waits for the GPU, which
+is still at the step before while the next batch is drawn. Recordings lie in its memory where they take less than MOST_MEMORY of what is
+free; else, and on a CPU, they are read where they are.
 """
 
 from __future__ import annotations
@@ -114,10 +115,10 @@ class Pictures:
         """
         if self._resident is None:
             some = np.stack([self._archives[pool].stored(number)[rows] for (pool, number), rows in zip(members, chosen, strict=True)])
-            taken = torch.from_numpy(some.view(np.int16)).to(self._device)
+            taken = torch.from_numpy(some.view(np.int16)).to(self._device, non_blocking=True)
         else:
             begins = np.array([self._begins[pool][number] for pool, number in members])
-            taken = self._resident[torch.from_numpy(begins[:, None] + chosen).to(self._device)]
+            taken = self._resident[torch.from_numpy(begins[:, None] + chosen).to(self._device, non_blocking=True)]
         # torch knows little of unsigned 16 bit numbers.
         return (taken.to(torch.int32) & 0xFFFF).to(torch.float32).movedim(-1, 2) / FIXED_POINT
 
@@ -156,9 +157,12 @@ def _batch(
 ) -> Batch:
     """From no-contact frames and pictures, shape (B, 1 + T, 3, h, w)."""
     device = stack.device
-    background, pictures, lengths = stack[:, 0].contiguous(), stack[:, 1:], lengths.to(device)
+    background, pictures, lengths = stack[:, 0].contiguous(), stack[:, 1:], lengths.to(device, non_blocking=True)
     there = torch.arange(pictures.shape[1], device=device) < lengths[:, None]
     signal = ((pictures - background[:, None]).abs() - deadband).clamp_min(0).mean(dim=(2, 3, 4))
     pictures = torch.where(there[:, :, None, None, None], pictures, torch.zeros_like(pictures))
     signal = torch.where(there, signal, torch.zeros_like(signal))
-    return Batch(pictures, background, signal, lengths, target.to(device, torch.float32), rigid.to(device), gel.to(device, torch.float32))
+    return Batch(
+        pictures, background, signal, lengths, target.to(device, torch.float32, non_blocking=True), rigid.to(device, non_blocking=True),
+        gel.to(device, torch.float32, non_blocking=True),
+    )  # fmt: skip

@@ -136,7 +136,7 @@ def test_firm_presses_have_an_error_of_their_own() -> None:
 
 
 def test_an_evaluation_writes_the_table_of_the_paper(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
-    report = evaluate(tiny_run / "model.pt", fake_data, tmp_path / "eval")
+    report = evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "eval")
     text = (tmp_path / "eval" / "table.md").read_text()
     assert "1398, 0.9564, 5.18" in text and "73, 0.7868, 11.05" in text and "683, 0.8524, 10.28" in text and text == table(report)
     assert set(report["rows"]) == {"novel_hardness", "novel_shape", "robot", "natural"}
@@ -150,6 +150,6 @@ def test_an_evaluation_writes_the_table_of_the_paper(fake_data: Path, tiny_run: 
         assert (tmp_path / "eval" / name).stat().st_size > 5000
     assert kept["rows"]["natural"]["ranking"]["tomato"]["objects"] == 3
     with pytest.raises(LearnError, match="--force"):
-        evaluate(tiny_run / "model.pt", fake_data, tmp_path / "eval")
+        evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "eval")
     with pytest.raises(LearnError, match="no split 'nonsense'"):
-        evaluate(tiny_run / "model.pt", fake_data, tmp_path / "other", rows=["nonsense"])
+        evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "other", rows=["nonsense"])

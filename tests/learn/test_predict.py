@@ -40,7 +40,7 @@ def press(fake_data: Path) -> np.ndarray:
 
 
 def ask(run: Path, *videos: Path, **options: Any) -> list[dict[str, Any]]:
-    return list(predict(run / "model.pt", videos, **options))
+    return list(predict([run / "model.pt"], videos, **options))
 
 
 def test_a_video_a_folder_and_an_episode_give_one_answer(fake_data: Path, tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def old_style(run: Path, folder: Path) -> Path:
 
 
 def test_a_network_that_takes_no_gel_does_not_miss_it(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
-    (answer,) = predict(old_style(tiny_run, tmp_path), [film(tmp_path / "press.mkv", press)])
+    (answer,) = predict([old_style(tiny_run, tmp_path)], [film(tmp_path / "press.mkv", press)])
     assert answer["status"] == "ok" and "the gel" not in answer["note"]
 
 

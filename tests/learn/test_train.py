@@ -18,7 +18,7 @@ from conftest import TINY, fake_dataset
 from learn import checkpoint, cli
 from learn.config import LearnError, configure, from_plain, to_plain
 from learn.logs import read_curves
-from learn.predict import shipped_model
+from learn.predict import find_model
 from learn.train import _average, rate_at, train
 
 
@@ -131,9 +131,11 @@ def test_fine_tuning_begins_from_a_shipped_network_by_name(
     given: list[Path | None] = []
     monkeypatch.setattr("learn.train.train", lambda *_, init, **__: given.append(init))
     arguments = ["train", "--data", str(fake_data), "--out", str(tmp_path / "tuned"), "--init"]
-    assert cli.main([*arguments, "default"]) == 0 and given == [shipped_model("default")]
-    assert cli.main([*arguments, "defualt"]) == 2
-    assert "--init defualt" in capsys.readouterr().err and len(given) == 1
+    assert cli.main([*arguments, "varied"]) == 0 and given == [find_model("varied", "--init")]
+    for name, words in (("defualt", "no such file"), ("default", "stands for 2 networks; name one: paper2017, varied")):
+        assert cli.main([*arguments, name]) == 2
+        told = capsys.readouterr().err
+        assert f"--init {name}" in told and words in told and len(given) == 1
 
 
 def test_weights_are_averaged_as_told(tiny_run: Path) -> None:

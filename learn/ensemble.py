@@ -1,0 +1,79 @@
+"""One network or several that read as one: a deep ensemble (Lakshminarayanan et al., NeurIPS 2017).
+
+    m = mean of mᵢ,     s² = mean of sᵢ² + mean of (mᵢ − m)²,     d = least of dᵢ
+
+mᵢ is what network i says, sᵢ its spread times its own factor, dᵢ its novelty over its own threshold: what one of them knows is not strange.
+Networks that were trained on different presses err differently, so m errs less than they do, and where they disagree s says it. Left out:
+weights by spread, which on test presses gave the same errors, and a factor of the whole, which would need a split that none trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learn.checkpoint import load
+from learn.config import LearnError
+from learn.data import Press
+from learn.estimate import batches, estimate
+from learn.novelty import novelty_from_plain
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Of B presses."""
+
+    mean: NDArray[np.float64]
+    """Shore 00, shape (B,)."""
+    spread: NDArray[np.float64]
+    """Standard deviation [Shore 00], shape (B,); NaN where a network knows none."""
+    novelty: NDArray[np.float64]
+    """Distance from the training over the threshold, shape (B,): above 1 the press is unlike it; NaN where none was fitted."""
+
+
+class Ensemble:
+    """The networks of some checkpoints, which must take the same input.
+
+    Raises:
+        LearnError: A checkpoint cannot be used, or takes another input than the first.
+    """
+
+    def __init__(self, models: Sequence[Path], device: torch.device) -> None:
+        self.checkpoints = [load(path) for path in models]
+        self._networks = [kept.build().to(device) for kept in self.checkpoints]
+        self._novelties = [novelty_from_plain(kept.novelty) for kept in self.checkpoints]
+        self._device = device
+        first = self.checkpoints[0].config
+        for path, kept in zip(models[1:], self.checkpoints[1:], strict=True):
+            if (kept.config.input, kept.config.model.model) != (first.input, first.model.model):
+                raise LearnError(f"--model {path}: takes other pictures than {models[0]}; networks that read together take the same")
+        self.inputs, self.repeat = first.input, first.model.model == "paper"
+        self.seed = first.train.seed
+        self.asks_gel = not self.repeat and any(kept.config.model.show_gel for kept in self.checkpoints)
+
+    def read(self, presses: Sequence[Press]) -> Reading:
+        """What presses, at least one, say of their hardness."""
+        parts = batches(presses, self._device)
+        said = [estimate(network, parts) for network in self._networks]
+        spreads = [part.spread * kept.spread_factor for part, kept in zip(said, self.checkpoints, strict=True)]
+        return _mixed([part.mean for part in said], spreads, [
+            np.full(len(presses), np.nan) if novelty is None else novelty.distance(part.statistics).numpy() / novelty.threshold
+            for part, novelty in zip(said, self._novelties, strict=True)
+        ])  # fmt: skip
+
+    def unread(self, count: int) -> Reading:
+        """Of presses that show nothing: what the networks were trained on."""
+        ones = np.ones(count)
+        centres, scales = ([float(getattr(network, name)) * ones for network in self._networks] for name in ("centre", "scale"))
+        return _mixed(centres, scales, [np.nan * ones])
+
+
+def _mixed(means: Sequence[NDArray], spreads: Sequence[NDArray], novelties: Sequence[NDArray]) -> Reading:
+    mean = np.mean(means, axis=0)
+    spread = np.sqrt(np.mean(np.square(spreads), axis=0) + np.var(means, axis=0))
+    return Reading(mean, spread, np.min(novelties, axis=0))
