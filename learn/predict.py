@@ -31,7 +31,7 @@ def find_models(names: Sequence[str], flag: str = "--model") -> list[Path]:
     found = []
     for name in names:
         path = Path(name)
-        if path.suffix or path.exists():
+        if path.suffix or path.is_file():
             found.append(path)
             continue
         beside = Path(__file__).parent.parent
