@@ -25,7 +25,7 @@ def test_it_is_small_and_says_what_it_was_trained_on(name: str) -> None:
     assert sum(path.stat().st_size for path in find_model(name, "--model").parent.glob("*.pt")) < 20e6
 
 
-@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 40.265, 41.672), ("varied", 58.497, 58.497)])
+@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 40.265, 41.672), ("varied", 58.497, 59.728)])
 def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, untold: float, told: float) -> None:
     """A made-up dent. In a thicker gel, or a softer one, the same picture means a softer object."""
     checkpoint = load(find_model(name, "--model"))
