@@ -28,19 +28,20 @@ def find_models(names: Sequence[str], flag: str = "--model") -> list[Path]:
     Raises:
         LearnError: There is none.
     """
-    found = []
-    for name in names:
-        path = Path(name)
-        if path.suffix or path.is_file():
-            found.append(path)
-            continue
-        beside = Path(__file__).parent.parent
-        for part in SHIPPED.get(name, (name,)):
-            places = [beside / folder / "models" / f"{part}.pt" for folder in ("gelsim/_assets", "assets")]
-            if not (there := [place for place in places if place.is_file()]):
-                raise LearnError(f"{flag} {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
-            found.append(there[0])
-    return found
+    parts = (part for name in names for part in ((name,) if Path(name).is_file() else SHIPPED.get(name, (name,))))
+    return [_find(part, flag) for part in parts]
+
+
+def _find(name: str, flag: str) -> Path:
+    path = Path(name)
+    if path.suffix or path.is_file():
+        return path
+    beside = Path(__file__).parent.parent
+    places = [beside / folder / "models" / f"{name}.pt" for folder in ("gelsim/_assets", "assets")]
+    for place in places:
+        if place.is_file():
+            return place
+    raise LearnError(f"{flag} {name}: no such file, and no shipped checkpoint of this name; train one: gelsim-learn train")
 
 
 def find_model(name: str, flag: str) -> Path:
@@ -108,15 +109,14 @@ def predict(
             press = replace(press, gel=source.gel if gel is None else gel)
             said = ensemble.read([press])
             mean, spread, distance = (float(part[0]) for part in (said.mean, said.spread, said.novelty))
-            fitted = np.isfinite(distance)
-            unlike = bool(fitted and distance > 1)
+            unlike = distance > 1
             yield {
                 "source": source.name,
                 "status": "ok",
                 "shore_00": mean,
                 "spread": spread if np.isfinite(spread) else None,
                 "frames": len(press.pictures),
-                "novelty": distance if fitted else None,
+                "novelty": distance if np.isfinite(distance) else None,
                 "unlike_training": unlike,
                 "true": source.true,
                 "note": _note(mean, distance if unlike else None, ensemble.asks_gel and not np.isfinite(press.gel).all()),

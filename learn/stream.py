@@ -162,7 +162,4 @@ def _batch(
     signal = ((pictures - background[:, None]).abs() - deadband).clamp_min(0).mean(dim=(2, 3, 4))
     pictures = torch.where(there[:, :, None, None, None], pictures, torch.zeros_like(pictures))
     signal = torch.where(there, signal, torch.zeros_like(signal))
-    return Batch(
-        pictures, background, signal, lengths, target.to(device, torch.float32, non_blocking=True), rigid.to(device, non_blocking=True),
-        gel.to(device, torch.float32, non_blocking=True),
-    )  # fmt: skip
+    return Batch(pictures, background, signal, lengths, target, rigid, gel).to(device)

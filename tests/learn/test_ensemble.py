@@ -14,9 +14,9 @@ from gelsim.dataset import load_dataset
 from learn import checkpoint
 from learn.config import LearnError
 from learn.data import Press, held_presses
-from learn.ensemble import Ensemble
+from learn.ensemble import Ensemble, _distance
 from learn.evaluate import evaluate
-from learn.novelty import Novelty
+from learn.novelty import Novelty, novelty_from_plain
 from learn.recordings import archive
 
 CPU = torch.device("cpu")
@@ -99,3 +99,13 @@ def test_novelty_without_a_fit_is_not_known(tiny_run: Path, tmp_path: Path, pres
     assert isinstance(kept.novelty, dict) and Novelty(**kept.novelty).threshold > 0
     checkpoint.save(tmp_path / "bare.pt", replace(kept, novelty=None))
     assert np.isnan(Ensemble([tmp_path / "bare.pt"], CPU).read(presses).novelty).all()
+
+
+def test_what_cannot_be_measured_is_strange(tiny_run: Path) -> None:
+    """Statistics with a NaN, or too large for their squares. Planted: a NaN that stays one, which is what no fit at all gives."""
+    novelty = novelty_from_plain(checkpoint.load(tiny_run / "model.pt").novelty)
+    assert novelty is not None
+    odd = novelty.mean.repeat(3, 1)
+    odd[0, 0], odd[1, 0] = torch.nan, 1e300
+    distance = _distance(novelty, odd)
+    assert np.isinf(distance[:2]).all() and distance[2] == 0
