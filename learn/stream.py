@@ -21,8 +21,8 @@ from learn.data import Batch, Press, collate, gel_of
 from learn.frames import FIXED_POINT, equal_steps, loading
 from learn.recordings import Archive
 
-MOST_MEMORY = 0.3
-"""Share of a GPU's free memory that recordings may take: several trainings may share it."""
+MOST_MEMORY = 0.5
+"""Share of a GPU's free memory that recordings may take; the rest is the network's."""
 
 
 class Stream:

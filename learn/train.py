@@ -92,7 +92,7 @@ def train(
         What report.json holds.
     Raises:
         LearnError, DatasetError: Something in the input cannot be used.
-        KeyboardInterrupt: After an interruption, when last.pt has been saved.
+        KeyboardInterrupt: After an interruption, when last.pt has been saved and the best network until then has its spread's factor.
     """
     with _place(device) as place:
         return _train(
@@ -176,6 +176,8 @@ def _train(
                 save(done)
                 if curves is not None:
                     curves.close()
+                    if (out / "model.pt").is_file():  # the best so far, as it may be all that there will be
+                        _finish(out, config, stream, presses, place.device, provenance)
                 raise KeyboardInterrupt
     if place.world > 1:
         distributed.barrier()

@@ -53,6 +53,19 @@ def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Pat
     ]
 
 
+def test_an_interrupted_run_leaves_a_network_that_knows_its_spread_and_what_is_strange(fake_data: Path, tmp_path: Path) -> None:
+    config = configure(**TINY, steps=6)
+
+    def stop_after_four(stage: str, done: int, total: int) -> None:
+        if stage == "training" and done == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(fake_data, tmp_path / "run", config, progress=stop_after_four)
+    left = checkpoint.load(tmp_path / "run" / "model.pt")
+    assert left.step < 4 and left.spread_factor != 1.0 and left.novelty is not None
+
+
 @pytest.mark.filterwarnings("ignore")  # of torch, in torch
 @pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile wants a compiler")
 def test_compiled_convolutions_learn_the_same(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
