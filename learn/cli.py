@@ -102,6 +102,9 @@ def _parser() -> Parser:
     )
     evaluate.add_argument("--workers", type=int, default=0, metavar="N", help="processes that read presses (default: this one alone)")
     evaluate.add_argument("--no-baselines", action="store_true", help="leave the baselines out: with many presses they take their time")
+    evaluate.add_argument(
+        "--baselines-from", type=Path, metavar="DIR", help="the dataset whose split train the baselines learn from (default: --data)"
+    )
     evaluate.add_argument("--force", action="store_true", help="write over an existing result")
     predict = commands.add_parser("predict", help="hardness and its spread from videos, folders of frames, episodes or datasets")
     predict.add_argument(
@@ -186,7 +189,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     with console.progress_bars() as progress:
         report = evaluate.evaluate(
             models, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
-            workers=options.workers, baselines=not options.no_baselines, plan=options.plan, progress=progress,
+            workers=options.workers, baselines=not options.no_baselines, baselines_from=options.baselines_from, plan=options.plan,
+            progress=progress,
         )  # fmt: skip
     print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
     return OK

@@ -1,8 +1,8 @@
 """`gelsim-learn eval`: the table of the paper with our numbers beside its own, and where the errors are.
 
-Each test row of the dataset's splits: the network and the baselines (which learn from the dataset's own split `train`), count, R², RMSE
-with 95 % intervals over objects. Presses are seen to their peak, with their camera's noise drawn. A press without visible contact is not
-left out: its estimate is the network's mean of the training, and it is counted.
+Each test row of the dataset's splits: the network and the baselines (which learn from the split `train` of the dataset or of another),
+count, R², RMSE with 95 % intervals over objects. Presses are seen to their peak, with their camera's noise drawn. A press without visible
+contact is not left out: its estimate is the network's mean of the training, and it is counted.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ HARDNESS_BANDS, FORCE_BANDS = (0, 20, 40, 60, 70, 80, 100), (0, FIRM_N, 1, 2, 5,
 RADIUS_BANDS_MM = (0, 3, 4, 5, 8, 15, 30, 1000)
 CHUNK = 64
 """Episodes in memory at once."""
+FEWEST = 3
+"""Presses that a baseline learns from."""
 
 
 def evaluate(
@@ -59,6 +61,7 @@ def evaluate(
     cache: Path | None = None,
     workers: int = 0,
     baselines: bool = True,
+    baselines_from: Path | None = None,
     plan: str | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -68,7 +71,7 @@ def evaluate(
         models: Checkpoints; of several the readings are one (`learn.ensemble`).
         rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
         cache: Of recordings; None: the run's own, where there is one. workers: Processes that fill it.
-        baselines: Also learn and test those.
+        baselines: Also learn and test those. baselines_from: The dataset whose split `train` they learn from; None: `data`.
         plan: Of a dataset without pictures that does not keep its own.
     Returns:
         What report.json holds.
@@ -79,6 +82,9 @@ def evaluate(
         raise LearnError(f"--out {out}: exists; give --force to write over it")
     dataset, ensemble = load_dataset(data), Ensemble(models, pick_device(device))
     check_splits(dataset.rows, dataset.splits)
+    teacher = (load_dataset(baselines_from) if baselines_from else dataset) if baselines else None
+    if teacher is not None and baselines_from and len(_known(teacher)) < FEWEST:
+        raise LearnError(f"--baselines-from {baselines_from}: its split train has fewer than {FEWEST} presses of known hardness")
     chosen = list(rows) or [name for name in TEST_ROWS if dataset.splits.get(name)] or [VALIDATION]
     for name in chosen:
         if not dataset.splits.get(name):
@@ -88,7 +94,7 @@ def evaluate(
         cache = models[0].parent / CACHE
     scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
     try:
-        return _evaluate(dataset, ensemble, models, out, chosen, device, cache or scratch, workers, baselines, plan, progress)
+        return _evaluate(dataset, ensemble, models, out, chosen, device, cache or scratch, workers, teacher, plan, progress)
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -96,10 +102,13 @@ def evaluate(
 
 def _evaluate(
     dataset: Dataset, ensemble: Ensemble, models: Sequence[Path], out: Path, chosen: Sequence[str], device: str, cache: Path | None,
-    workers: int, baselines: bool, plan: str | None, progress: Progress | None,
+    workers: int, teacher: Dataset | None, plan: str | None, progress: Progress | None,
 ) -> dict[str, Any]:  # fmt: skip
-    everything = archive(dataset, [row["index"] for row in dataset.rows], ensemble.inputs, cache, progress, workers, plan, device)
-    learnt = _learn_baselines(dataset, everything, ensemble.inputs) if baselines else None
+    def read(dataset: Dataset, indices: list[int]) -> Archive:
+        return archive(dataset, indices, ensemble.inputs, cache, progress, workers, plan, device)
+
+    everything = read(dataset, [row["index"] for row in dataset.rows])
+    learnt = _learn_baselines(read(teacher, _known(teacher)), ensemble.inputs) if teacher is not None else None
     total = sum(len(dataset.splits[name]) for name in chosen)
     found: dict[str, list[dict[str, Any]]] = {}
     done = 0
@@ -118,6 +127,7 @@ def _evaluate(
         ],
         "data": dataset.folder.resolve().name,
         "domain": dataset.info.get("domain"),
+        "baselines_from": teacher.folder.resolve().name if learnt is not None and teacher is not None else None,
         "rows": {},
     }
     for name, predictions in found.items():
@@ -168,10 +178,13 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _learn_baselines(dataset: Dataset, everything: Archive, inputs: InputConfig) -> Baselines | None:
-    known = {row["index"] for row in dataset.rows if row["shore_00"] is not None}
-    part = everything.only([dataset.positions[index] for index in dataset.splits.get(TRAIN, []) if index in known])
-    if len(part) < 3:
+def _known(dataset: Dataset) -> list[int]:
+    """The training presses of known hardness."""
+    return [index for index in dataset.splits.get(TRAIN, []) if dataset.rows[dataset.positions[index]]["shore_00"] is not None]
+
+
+def _learn_baselines(part: Archive, inputs: InputConfig) -> Baselines | None:
+    if len(part) < FEWEST:
         return None
     curves = list(zip(part.signals, part.features, strict=True))
     return fit_baselines(curves, np.array([row["shore_00"] for row in part.rows], float), inputs)

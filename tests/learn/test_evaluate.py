@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import fake_dataset
 
 from learn import scores
 from learn.baselines import NAMES, RIDGES, fit_baselines, over_time, ridge_weights
@@ -153,3 +154,19 @@ def test_an_evaluation_writes_the_table_of_the_paper(fake_data: Path, tiny_run: 
         evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "eval")
     with pytest.raises(LearnError, match="no split 'nonsense'"):
         evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "other", rows=["nonsense"])
+
+
+def test_baselines_may_learn_from_another_dataset(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
+    """A dataset of twice the presses: the network reads the same, the baselines do not; and it must have something to learn from."""
+    teacher = fake_dataset(tmp_path / "teacher", presses=2, seed=1)
+    model = [tiny_run / "model.pt"]
+    own = evaluate(model, fake_data, tmp_path / "own")["rows"]["novel_hardness"]
+    other = evaluate(model, fake_data, tmp_path / "other", baselines_from=teacher)
+    row = other["rows"]["novel_hardness"]
+    assert other["baselines_from"] == "teacher" and row["rmse"] == own["rmse"]
+    assert row["baselines"][NAMES[0]] == own["baselines"][NAMES[0]]  # the same hardnesses
+    assert all(row["baselines"][name]["rmse"] != own["baselines"][name]["rmse"] for name in NAMES[1:])
+    (teacher / "meta" / "splits.json").write_text(json.dumps({"novel_shape": []}))
+    with pytest.raises(LearnError, match="--baselines-from"):
+        evaluate(model, fake_data, tmp_path / "nothing", baselines_from=teacher)
+    assert not (tmp_path / "nothing").exists()
