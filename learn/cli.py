@@ -101,8 +101,9 @@ def _parser() -> Parser:
         "--cache", type=Path, metavar="DIR", help="averaged pictures of a training (default: cache beside the checkpoint)"
     )
     evaluate.add_argument("--workers", type=int, default=0, metavar="N", help="processes that read presses (default: this one alone)")
-    evaluate.add_argument("--no-baselines", action="store_true", help="leave the baselines out: with many presses they take their time")
-    evaluate.add_argument(
+    bare = evaluate.add_mutually_exclusive_group()
+    bare.add_argument("--no-baselines", action="store_true", help="leave the baselines out: with many presses they take their time")
+    bare.add_argument(
         "--baselines-from", type=Path, metavar="DIR", help="the dataset whose split train the baselines learn from (default: --data)"
     )
     evaluate.add_argument("--force", action="store_true", help="write over an existing result")
