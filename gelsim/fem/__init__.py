@@ -3,9 +3,8 @@ is behind them."""
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -21,6 +20,7 @@ from gelsim.scene import Body, Scene
 
 if TYPE_CHECKING:
     from gelsim.fem.batch import Costs
+    from gelsim.fem.quasistatic import Course
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class Try:
     """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
     friction: tuple[float, float] | None = None
     """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
+    goes_on: bool = False
+    """Begins where the try before it ended, not at rest."""
 
 
 STICK = 10.0
@@ -44,8 +46,8 @@ STICK = 10.0
 step's solution lies on that jump Newton finds none."""
 GRIP = 0.3
 """μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
-SOON = 60
-"""Failed iterations after which a soft object that friction holds is tried with contact's points on the other side: some four solves."""
+SOON = 30
+"""Failed iterations after which another try goes on from where one stands: some two solves."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 SLIDING = Try(12, on_object=True)
 """The first try of a smooth soft object that nothing holds sideways, and of a ring or a block with waves that friction holds: few of the
@@ -75,9 +77,10 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    A soft object that friction holds is tried with contact's points on either surface, the first time not for long; a ring, a block with
-    waves and a smooth one that friction does not hold begin with their own. Then there are twice the contact points, volume is held at
-    points too, and what sticks slides at friction `STICK`; the last time, where friction was less, it is `GRIP`. Its info says so. More
+    Other tries go on from where the one before it stands, not for long each: with contact's points on the other surface, where friction
+    holds a soft object or a smooth one may slide (a ring, a block with waves and one that slides begin with their own); then with twice the
+    contact points, volume held at points too, and what sticks sliding at friction `STICK`. Where that does not get there the latter begin
+    at rest, the last time, where friction was less, with `GRIP`. Its info says so. More
     points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps
     crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
@@ -97,36 +100,67 @@ def solve_press(
     from gelsim.fem.problem import PressProblem
     from gelsim.fem.quasistatic import run_press
 
-    best: Deformation | None = None
     name = "cuda:0" if device == "cuda" else "cpu"
-    for number, way in enumerate(ways(scene, gel.symmetry), 1):
+    tries = _tries(scene, gel.symmetry)
+    way, course = next(tries)
+    while True:
         bodies = _tried(scene, way), gel, body, placement, gel_material, object_material, name
         problem = PressProblem(*bodies, part_materials=part_materials, **_discretised(way))
+        problem.course = course
         if name != "cpu" and problem.memory is None and solves_on_gpu():
             press = run_batch([problem], states=progress)[0]
         else:
             press = run_press(problem, progress=progress, throw=False)
-        _note(press, scene, way, number)
+        try:
+            way, course = tries.send(press)
+        except StopIteration as end:
+            best: Deformation = end.value
+            break
+    if throw and best.status is not SolveStatus.CONVERGED:
+        raise SolveError(best.message, best)
+    return best
+
+
+def _tries(scene: Scene, symmetry: frozenset[str]) -> Generator[tuple[Try, Course], Deformation, Deformation]:
+    """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
+
+    Where the approach of a force was found in several tries, all begin again to record the way there.
+    """
+    from gelsim.fem.quasistatic import Course
+
+    course, best, number, left, turns = Course(), None, 0, ways(scene, symmetry), []
+    while left:
+        way, *left = left
+        if not way.goes_on:
+            course.before, turns = None, []
+        elif course.before is None:
+            continue
+        turns.append((way, 0.0 if course.before is None else 1e3 * course.before.approach))
+        number, course.followed = number + 1, bool(left) and left[0].goes_on
+        press = yield way, course
+        _note(press, scene, turns, number)
+        if course.searched:
+            course.searched, left = False, ways(scene, symmetry)
+            continue
         best = _further(best, press)
         if not press.lost:
             break
     assert best is not None
-    if throw and best.status is not SolveStatus.CONVERGED:
-        raise SolveError(best.message, best)
     return best
 
 
 def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
     """The tries that a scene may have, one after the other until one reaches its end; `symmetry`: the planes that its meshes are cut at."""
     friction = scene.contact.friction_coefficient
-    if isinstance(friction, str):
-        return [PLAIN, HELD]
+    if isinstance(friction, str) or (scene.object.rigid and friction >= GRIP):
+        return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD]
     if friction < GRIP:
-        return [*([SLIDING] if _slides(scene.object, symmetry) else []), PLAIN, HELD, GRIPPED]
-    if scene.object.rigid:  # its faces need not be as fine as points on them must lie
-        return [PLAIN, HELD]
+        first = [SLIDING, replace(PLAIN, goes_on=True)] if _slides(scene.object, symmetry) else [PLAIN]
+        return [*first, replace(HELD, goes_on=True, most_wasted=SOON), HELD, GRIPPED]
     first = [SLIDING, PLAIN] if _uneven(scene.object) else [PLAIN, replace(PLAIN, on_object=True)]
-    return [replace(first[0], most_wasted=SOON), first[1], HELD, replace(HELD, on_object=True)]
+    last = [HELD, replace(HELD, on_object=True)]
+    on = [replace(way, goes_on=number > 0, most_wasted=SOON) for number, way in enumerate([*first, *last])]
+    return [*on, *last]
 
 
 def _slides(body: Body, symmetry: frozenset[str]) -> bool:
@@ -145,7 +179,8 @@ def _uneven(body: Body) -> bool:
 
 def _discretised(way: Try) -> dict[str, Any]:
     """What of a try the problem is made with."""
-    made = {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object, "patient": way.held > 0.0}
+    patient = way.held > 0.0 and not way.goes_on
+    made = {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object, "patient": patient}
     return made if way.most_wasted is None else made | {"most_wasted": way.most_wasted}
 
 
@@ -158,17 +193,22 @@ def _tried(scene: Scene, way: Try) -> Scene:
     return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
 
 
-def _note(press: Deformation, scene: Scene, way: Try, number: int) -> None:
-    """Tells in a press's info which try it is."""
+def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> None:
+    """Tells in a press's info which try it is, and which led there: each with the approach [mm] that it went on from."""
+    way = turns[-1][0]
     press.info["tried"] = number
     press.info["contact_points"], press.info["contact_points_on"] = way.contact_points, "object" if way.on_object else "gel"
+    if len(turns) > 1:
+        press.info["went_on_from_mm"] = [round(start, 4) for _, start in turns[1:]]
+    # both belong to the later tries: what one is solved with so are those after it
+    since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
     if way.held > 0.0:
-        told = "did not reach its end at first: solved with twice the contact points, and volume held at points, which makes tets stiffer"
-        press.warn(told)
+        told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
+        press.warn(f"did not reach its end at first: solved {told}")
     asked, solved = scene.contact.friction_coefficient, _tried(scene, way).contact.friction_coefficient
     press.info["friction_coefficient"] = solved
     if solved != asked:
-        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved:g} instead")
+        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved:g} instead{since}")
 
 
 def _further(before: Deformation | None, press: Deformation) -> Deformation:
@@ -210,34 +250,33 @@ def solve_batch(
     from gelsim.fem.problem import PressProblem
     from gelsim.materials import gel_material, object_materials
 
-    best: dict[int, Deformation] = {}
-    failed = list(range(len(bodies)))
-    for turn in itertools.count():
-        groups: dict[Try, dict[int, Try]] = {}
-        for number in failed:
-            scene, gel = bodies[number][:2]
-            for way in ways(scene, gel.symmetry)[turn : turn + 1]:
-                groups.setdefault(replace(way, most_wasted=None), {})[number] = way  # each gives up in its own time
-        if not groups:
-            break
-        left = sum(map(len, groups.values()))
+    done: dict[int, Deformation] = {}
+    tries = [_tries(scene, gel.symmetry) for scene, gel, *_ in bodies]
+    asked = {number: next(one) for number, one in enumerate(tries)}
+    while asked:
+        groups: dict[Try, dict[int, tuple[Try, Course]]] = {}
+        for number, (way, course) in asked.items():
+            groups.setdefault(replace(way, most_wasted=None), {})[number] = way, course  # each gives up in its own time
+        left, asked = len(asked), {}
         for several in groups.values():
             problems, start = [], time.perf_counter()
-            for number, way in several.items():
+            for number, (way, course) in several.items():
                 scene, gel, body, placement = bodies[number]
                 of_object = list(object_materials(scene).values())
                 first = of_object[0] if of_object else None
                 of_all = _tried(scene, way), gel, body, placement, gel_material(scene), first, device
                 problems.append(PressProblem(*of_all, part_materials=of_object[1:], **_discretised(way)))
+                problems[-1].course = course
             if costs is not None:
                 costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
             told = None if progress is None else partial(_told, progress, len(bodies) - left, len(bodies))
             left -= len(several)
-            for (number, way), press in zip(several.items(), run_batch(problems, progress=told, costs=costs), strict=True):
-                _note(press, bodies[number][0], way, turn + 1)
-                best[number] = _further(best.get(number), press)
-        failed = [number for number in failed if best[number].lost]
-    return [best[number] for number in range(len(bodies))]
+            for number, press in zip(several, run_batch(problems, progress=told, costs=costs), strict=True):
+                try:
+                    asked[number] = tries[number].send(press)
+                except StopIteration as end:
+                    done[number] = end.value
+    return [done[number] for number in range(len(bodies))]
 
 
 def _told(progress: Callable[[int, int], None], before: int, all_of_them: int, done: int, _: int) -> None:

@@ -112,6 +112,14 @@ def rest_weights(rest: Array, faces: NDArray[np.int32], points: int) -> Array:
     return np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1) * rule
 
 
+def _area_stretch(rest: Array, now: Array, faces: NDArray[np.int32], bary: Array) -> Array:
+    """Area over rest area of six-node faces (K, 6), each at a place of its own (K, 3)."""
+    gradient = tri6_gradient(bary)
+    tangents = (np.einsum("kni,kna->kia", positions[faces], gradient) for positions in (now, rest))
+    area, before = (np.linalg.norm(np.cross(both[..., 0], both[..., 1]), axis=-1) for both in tangents)
+    return area / before
+
+
 def _border_sides(rest: Array, faces: NDArray[np.int32], symmetry: frozenset[str]) -> NDArray[np.int32]:
     """Of each face the bits (`contact_kernels.on_sides`) of the sides that no other face has and that lie on no mirror plane."""
     middle = faces[:, 3:]
@@ -379,6 +387,10 @@ class SurfaceContact:
         tractions = self.pressure.numpy()[:, None]
         if self.frictional:
             tractions = np.concatenate([tractions, self.traction.numpy()], axis=1)
+        self._project(tractions)
+
+    def _project(self, tractions: Array) -> None:
+        """Sets λ, and λ_t where there is friction, to what is given at the quadrature points, (P, 1) or (P, 4), projected."""
         count = tractions.shape[1]
         moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, count), self._bary)
         at_vertices = np.zeros((len(self.vertices), 4))
@@ -425,6 +437,31 @@ class SurfaceContact:
         self.face.fill_(-1)
         self.kept = np.zeros_like(self.kept)
         self.set_multipliers(np.zeros_like(self.multipliers))
+
+    def inherit(self, before: SurfaceContact, rest: Array, x: wp.array, reach: float) -> None:
+        """Goes on from what `before`, of the same two surfaces, had settled at positions x: its tractions, and no slip since.
+
+        Where the other surface was the slave, a point has the opposite traction of the place that it touches; both are per rest area of
+        their own surface, so it grows by what that has been stretched the more.
+        """
+        self.forget()
+        self.update(x, reach)
+        if np.array_equal(self.slave_faces, before.slave_faces):
+            self.set_multipliers(before.multipliers)
+        else:
+            now, face = x.numpy(), self.face.numpy()
+            points = np.flatnonzero(face >= 0)
+            xi, face = self.xi.numpy()[points], face[points]
+            bary = np.maximum(np.column_stack([1 - xi.sum(1), xi]), 0.0)  # a point may lie a little beside its face
+            bary /= bary.sum(1, keepdims=True)
+            own, there = self.slave_faces[points // self.points], self.master_faces[face]
+            stretch = _area_stretch(rest, now, own, self._bary[points % self.points]) / _area_stretch(rest, now, there, bary)
+            given = np.einsum("pa,pac->pc", bary, before.multipliers[before._corner[face]]) * stretch[:, None]
+            tractions = np.zeros((len(self.weight), 4))
+            tractions[points] = given * [1, -1, -1, -1]
+            self._project(tractions if self.frictional else tractions[:, :1])
+        self.anchor_face.assign(self.face)
+        self.anchor_xi.assign(self.xi)
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (slave, master) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""

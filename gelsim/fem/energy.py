@@ -70,6 +70,14 @@ class EnergyBalance:
             self._lost -= float((contact.rest_weight[:, None] * 0.5 * (traction + self._traction) * contact.slip(x)).sum())
             self._traction = traction
 
+    def go_on(self, problem: PressProblem) -> None:
+        """Follows the same press solved another way, from its present state, whose contact has settled."""
+        contact = problem.contact
+        self.problem = problem
+        self._pressure, self._overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
+        self._overlap[self._pressure <= 0.0] = 0.0
+        self._traction = contact.traction.numpy().copy()
+
     def report(self) -> dict[str, float]:
         """Energies of the whole body [J] and the relative drift."""
         from scipy.interpolate import PchipInterpolator

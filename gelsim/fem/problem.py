@@ -24,6 +24,7 @@ from gelsim.materials import OGDEN_TERMS, ElasticMaterial
 from gelsim.scene import Scene
 
 if TYPE_CHECKING:
+    from gelsim.fem.quasistatic import Course
     from gelsim.fem.recording import Recorder
 
 Array = NDArray[np.float64]
@@ -51,6 +52,8 @@ class PressProblem:
 
     on_object = False
     most_wasted = MOST_WASTED
+    course: Course | None = None
+    """Of a press with several tries: what this one goes on from, and what it leaves."""
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,

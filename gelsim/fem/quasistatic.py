@@ -45,6 +45,7 @@ SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
+GO_ON_REACH_MM = 1.0  # bounds the search for contact of a march that goes on from another's state
 CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
@@ -60,6 +61,20 @@ class Request:
 
 
 Marching = Generator[Request, NewtonReport, None]
+
+
+@dataclass
+class Course:
+    """What a try of a press leaves for those after it."""
+
+    followed: bool = False
+    """Whether the next one goes on from it."""
+    before: _March | None = None
+    """The lost march of the try before, to go on from; None begins at rest."""
+    found: tuple[float, PressEnd, str] | None = None
+    """Approach [m] at which the press ends, what it ends at there, and why no further: once that is known."""
+    searched: bool = False
+    """Whether it was found in several tries, none of which has recorded the press."""
 
 
 def run_press(problem: PressProblem, *, progress: Progress | None = None, throw: bool = True) -> Deformation:
@@ -82,48 +97,52 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
 
 
 def march_press(problem: PressProblem, progress: Progress | None = None) -> Generator[Request, NewtonReport, Deformation]:
-    """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all."""
-    press = problem.scene.press
-    depth, end, beyond = (press.depth_mm / MM, PressEnd.DEPTH, "") if press.depth_mm is not None else (yield from _find_depth(problem))
-    spacing = depth / (press.frames - 1)
-    for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
-        problem.reset()
-        march = _March(problem, press, depth)
-        yield from march.run(spacing, press.frames, progress, longest)
-        if march.status is SolveStatus.CONVERGED:
-            break
+    """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all.
+
+    A search for a force that is lost is all there is where another try goes on from it, or it from another; where such a one was not, the
+    states are left to be recorded from rest.
+    """
+    press, course = problem.scene.press, problem.course or Course()
+    before, march = course.before, None
+    if press.depth_mm is not None:
+        course.found = press.depth_mm / MM, PressEnd.DEPTH, ""
+    elif course.found is None:
+        search = _Search(problem)
+        yield from search.run(CAREFUL_STEP, int(search.depth / CAREFUL_STEP) + 2, None, CAREFUL_STEP, before)
+        found = search.found()
+        if found[1] is PressEnd.LOST and course.followed:
+            course.before = search if problem.memory is None else None
+            return search.deformation(PressEnd.LOST, "")
+        course.found, course.before = found, None
+        if before is not None:
+            course.searched = True
+            return search.deformation(found[1], "")
+        straight = not any(press.shear_mm) and not press.twist_deg
+        if straight and problem.memory is None and (yield from search.record(found[0], press.frames, progress)):
+            march = search
+    depth, end, beyond = course.found
+    if march is None:
+        spacing = depth / (press.frames - 1)
+        for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
+            march = _March(problem, press, depth)
+            yield from march.run(spacing, press.frames, progress, longest, before)
+            if march.status is SolveStatus.CONVERGED or before is not None:
+                break
+    assert march is not None
     message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
-        end = PressEnd.LOST
+        end, course.before = PressEnd.LOST, march if problem.memory is None else None
         message = (
             f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "
             "solved and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes"
         )
-    deformation = march.recorder.deformation(march.status, message, march.halved)
-    deformation.info["energy"], deformation.info["ended_by"] = march.energy.report(), end
+    deformation = march.deformation(end, message)
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         found = beyond or f" with {march.normal_force:.3g} N"
         deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{found}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation
-
-
-def _find_depth(problem: PressProblem) -> Generator[Request, NewtonReport, tuple[float, PressEnd, str]]:
-    """Approach [m] at which the force that ends the press is reached, straight down, and that (FORCE).
-
-    Where it is not reached: as far as an equilibrium was found (LOST), or the limit (LIMIT), and why no further.
-    """
-    scene = problem.scene
-    limit = _depth_limit(scene)
-    march = _March(problem, Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s), limit)
-    yield from march.run(CAREFUL_STEP, int(limit / CAREFUL_STEP) + 2, None, CAREFUL_STEP)
-    if march.stopped:
-        return march.approach, PressEnd.FORCE, ""
-    # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
-    if march.status is not SolveStatus.CONVERGED and march.approach > 0.0:
-        return march.approach, PressEnd.LOST, f" with {march.normal_force:.3g} N; further on {march.status.value}"
-    return limit, PressEnd.LIMIT, ""
 
 
 def _depth_limit(scene: Scene) -> float:
@@ -153,23 +172,37 @@ class _March:
         self.recorder, self.energy = problem.record(), EnergyBalance(problem)
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
+        self.here: _State
+        """The last equilibrium."""
         self._previous: _State | None = None
         self._spacing, self._smallest = np.inf, 1.0
+        self._rate = 0.0
         self._iterations = self._factorisations = self._wasted = 0
 
-    def run(self, spacing: float, states: int, progress: Progress | None, longest: float) -> Marching:
+    def run(self, spacing: float, states: int, progress: Progress | None, longest: float, before: _March | None = None) -> Marching:
         """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m].
 
-        No step is longer than `longest` [m].
+        No step is longer than `longest` [m]. Begins at rest, or where `before` stands.
         """
         problem, self._spacing = self.problem, spacing
-        yield Request(1.0, solve=False)  # first touch
-        self._settle()
-        self._keep(states, progress)
-        step, easy, here = longest, 0, self._state(0.0)
+        if before is None:
+            problem.reset()
+            yield Request(1.0, solve=False)  # first touch
+            self._settle()
+            self._keep(states, progress)
+            here = self._state(0.0)
+            self._arrive(here, 0.0)
+        else:
+            here = yield from self._go_on(before)
+            if here is None:
+                return
+            longest = min(longest, CAREFUL_STEP)
+        step, easy = longest if before is None else longest / 4, 0
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
+            if self.halved:
+                new = min(new, self._nearly_at_force())
             if not (yield from self._attempt(here, new)):
                 longest = min(longest, CAREFUL_STEP)
                 step, easy, self.halved = min((new - here.approach) / 2, longest), 0, self.halved + 1
@@ -183,7 +216,8 @@ class _March:
                 self.stopped = True
             self.energy.step(new)
             self._settle()
-            self.approach, self.normal_force, self._previous, here = new, force, here, self._state(new)
+            self._previous, here = here, self._state(new)
+            self._arrive(here, force)
             easy += 1
             if easy >= 2 and step < longest:
                 step, easy = min(2 * step, longest), 0
@@ -191,6 +225,35 @@ class _March:
                 self._keep(states, progress)
         if self.press.hold_s and problem.memory is not None:
             yield from self._hold(problem.memory, progress)
+
+    def _go_on(self, before: _March) -> Generator[Request, NewtonReport, _State | None]:
+        """The last equilibrium of a march by another discretisation as this one has it; None where that is not found."""
+        problem, here = self.problem, before.here
+        self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
+        self._smallest = here.min_jacobian
+        problem.solids.set_state(here.fields)
+        problem.contact.inherit(before.problem.contact, problem.solids.rest, problem.solids.positions(), GO_ON_REACH_MM)
+        start = self._state(here.approach)
+        self._arrive(start, before.normal_force)
+        if not (yield from self._attempt(start, here.approach)):
+            return None
+        self._settle()
+        self.recorder.problem = problem
+        self.energy.go_on(problem)
+        self._arrive(self._state(here.approach), -problem.contact_force()[2])
+        return self.here
+
+    def _arrive(self, state: _State, force: float) -> None:
+        """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""
+        travel = state.approach - self.approach
+        self._rate = (force - self.normal_force) / travel if travel > 0.0 else 0.0
+        self.here, self.approach, self.normal_force = state, state.approach, force
+
+    def deformation(self, end: PressEnd, message: str) -> Deformation:
+        """What was recorded, and what of it is known beside the states."""
+        deformation = self.recorder.deformation(self.status, message, self.halved)
+        deformation.info["energy"], deformation.info["ended_by"] = self.energy.report(), end
+        return deformation
 
     def _hold(self, memory: Memory, progress: Progress | None) -> Marching:
         """Lets the solids relax where the press ended, in steps of time that grow from a part of the shortest one; records the end."""
@@ -315,6 +378,13 @@ class _March:
         travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM])
         return np.column_stack([turned - relative[:, :2], np.zeros(len(relative))]) + travel
 
+    def _nearly_at_force(self) -> float:
+        """A little beyond where force_n is to be expected [m]: where steps fail, one much further may have no answer."""
+        if self.press.force_n is None or self._rate <= 0.0:
+            return np.inf
+        ahead = max(1.2 * (self.press.force_n - self.normal_force) / self._rate, SMALLEST_STEP * self._spacing)
+        return self.approach + ahead
+
     def _stop_at_force(self, here: _State, new: float, force: float) -> Generator[Request, NewtonReport, tuple[float, float]]:
         """The approach between `here` and `new` where the normal force is force_n, and the force there; the solids are left at it."""
         wanted = self.press.force_n
@@ -336,3 +406,46 @@ class _March:
         yield from self._return_to(beyond, 1.0 + 2 * (high[0] - here.approach) * MM)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
+
+
+class _Search(_March):
+    """Looks for the approach at which the force that ends a press is reached, straight down, and remembers the way there."""
+
+    def __init__(self, problem: PressProblem) -> None:
+        scene = problem.scene
+        limit = _depth_limit(scene)
+        press = Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
+        super().__init__(problem, press, limit)
+        self.trail: list[_State] = []
+
+    def _arrive(self, state: _State, force: float) -> None:
+        super()._arrive(state, force)
+        self.trail.append(state)
+
+    def found(self) -> tuple[float, PressEnd, str]:
+        """Approach [m] at which the press ends, what it ends at there, and why no further.
+
+        Where the force is not reached that is as far as an equilibrium was found (LOST), or the limit (LIMIT).
+        """
+        if self.stopped:
+            return self.approach, PressEnd.FORCE, ""
+        # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
+        if self.status is not SolveStatus.CONVERGED and self.approach > 0.0:
+            return self.approach, PressEnd.LOST, f" with {self.normal_force:.3g} N; further on {self.status.value}"
+        return self.depth, PressEnd.LIMIT, ""
+
+    def record(self, depth: float, states: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
+        """Records equally spaced states to `depth` [m], each a step from the one before it on the way; whether all were found."""
+        self.recorder = self.problem.record()
+        places = np.array([state.approach for state in self.trail])
+        for number in range(states):
+            target = depth * number / (states - 1)
+            before = max(int(np.searchsorted(places, target * (1 - 1e-9))) - 1, 0)
+            here = self.trail[before]
+            self._previous = self.trail[before - 1] if before else None
+            yield from self._return_to(here, 1.0)
+            if number > 0 and not (yield from self._attempt(here, target)):
+                return False
+            self._keep(states, progress)
+        self.status, self.message = SolveStatus.CONVERGED, ""
+        return True

@@ -205,9 +205,9 @@ def test_a_later_try_marches_carefully_and_then_as_always(monkeypatch: pytest.Mo
     expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     run, solve, longest = quasistatic._March.run, Newton.solve, []  # pyright: ignore[reportPrivateUsage]
 
-    def told(march, spacing, states, progress, step):  # type: ignore[no-untyped-def]
+    def told(march, spacing, states, progress, step, before):  # type: ignore[no-untyped-def]
         longest.append(step)
-        return run(march, spacing, states, progress, step)
+        return run(march, spacing, states, progress, step, before)
 
     def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
         report = solve(newton, reach, tolerance, solving)
