@@ -446,6 +446,7 @@ class _Search(_March):
             yield from self._return_to(here, 1.0)
             if number > 0 and not (yield from self._attempt(here, target)):
                 return False
+            self.approach = target
             self._keep(states, progress)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return True

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -119,8 +120,12 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
         lost, done = (SolveStatus.CONVERGED, PressEnd.LOST), (SolveStatus.CONVERGED, PressEnd.DEPTH)
         stopped = (SolveStatus.MAX_ITERATIONS, PressEnd.LOST)
         first = [(SolveStatus.CONVERGED, PressEnd.LIMIT), stopped, lost, lost]
-        ends = [first, [done, lost], [lost], [done], [done]][len(asked) - 1]
+        ends = [first, [done, lost], [lost], [lost], [done], [done]][len(asked) - 1]
         farther = len(asked) * solved.approach
+        for problem, (_, end) in zip(problems, ends, strict=True):
+            assert problem.course is not None
+            if end is PressEnd.LOST:
+                problem.course.before = cast(Any, SimpleNamespace(approach=0.5e-3))
         return [replace(solved, status=status, approach=farther, info={"ended_by": end}) for status, end in ends]
 
     scenes = [scene(100.0), scene(45.0, friction="stick"), scene(400.0, friction=GRIP), scene(45.0, friction=0.1)]
@@ -129,20 +134,22 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
     bodies = [(one, *pipeline.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
-    # what friction holds has its second try with points on the object
+    # what friction holds goes on with points on the object, the others with volume held; then all begin at rest
     plain, held, turned = (False, 6), (False, 12), (True, 6)
-    assert [[one[:2] for one in tries] for tries in asked] == [[plain] * 4, [held] * 2, [turned], [held], [held]]
-    # who has another try to come gives up sooner, each in its own time though they are solved together
-    assert patience == [[(MOST_WASTED, False)] * 2 + [(SOON, False), (MOST_WASTED, False)], [(MOST_WASTED, True)] * 2,
-                        [(MOST_WASTED, False)], [(MOST_WASTED, True)], [(MOST_WASTED, True)]]  # fmt: skip
+    assert [[one[:2] for one in tries] for tries in asked] == [[plain] * 4, [held] * 2, [turned], [held], [held], [held]]
+    # who has another try to go on from it gives up sooner, each in its own time though they are solved together
+    assert patience == [[(MOST_WASTED, False)] * 2 + [(SOON, False), (MOST_WASTED, False)], [(SOON, False)] * 2, [(SOON, False)],
+                        [(MOST_WASTED, True)], [(SOON, False)], [(MOST_WASTED, True)]]  # fmt: skip
     assert asked[1][0][2] == asked[0][1][2] != asked[0][0][2]  # the second one's, by the softer body
-    assert [press.info["tried"] for press in presses] == [1, 2, 3, 3]
+    assert [press.info["tried"] for press in presses] == [1, 2, 3, 4]
     assert [press.info["contact_points"] for press in presses] == [6, 12, 12, 12]
-    # what sticks slides at a large friction then, what nothing holds has some the last time; both say so
-    assert [[one[3] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, 0.1], [GRIP], [GRIP], [GRIP]]
+    assert [press.info.get("went_on_from_mm") for press in presses] == [None, [0.5], [0.5, 0.5], None]
+    # what sticks slides at a large friction then, what nothing holds has some the last time; both say so, and since when
+    assert [[one[3] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, 0.1], [GRIP], [0.1], [GRIP], [GRIP]]
     assert [press.info["friction_coefficient"] for press in presses] == [0.0, 10.0, GRIP, GRIP]
-    said = ["no equilibrium was found on its way: solved with" in str(press.info.get("warnings")) for press in presses]
-    assert said == [False, True, False, True]
+    said = ["\n".join(press.info.get("warnings", [])) for press in presses]  # type: ignore[arg-type]
+    assert ["no equilibrium was found on its way: solved with" in one for one in said] == [False, True, False, True]
+    assert ["from 0.5 mm on" in one for one in said] == [False, True, True, False]
     assert told[-1] == (4, 4)
 
 
@@ -150,9 +157,9 @@ def test_points_on_the_object_are_for_what_friction_holds() -> None:
     def sides(body: dict[str, object], friction: float | str = 0.5) -> list[bool]:
         return [way.on_object for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
 
-    assert sides({"shape": "corner"}) == [False, True, False, True]
-    # one with waves of its own begins with its points, and gives the gel's a whole try
-    assert sides({"shape": "rough"}) == sides({"shape": "torus"}) == [True, False, False, True]
+    assert sides({"shape": "corner"}) == [False, True, False, True, False, True]
+    # one with waves of its own begins with its points
+    assert sides({"shape": "rough"}) == sides({"shape": "torus"}) == [True, False, False, True, False, True]
     # a rigid one's faces are as coarse as its shape lets them be
     assert not any(sides({"shape": "corner", "rigid": True}) + sides({"shape": "corner"}, 0.1) + sides({"shape": "corner"}, "stick"))
 
@@ -167,14 +174,19 @@ def test_a_smooth_object_that_may_slide_begins_with_its_own_points() -> None:
     assert {*held, first({"shape": "edge"}), first({"shape": "hemisphere", "rigid": True})} == {PLAIN}
 
 
-def test_a_press_that_may_begin_on_the_other_side_gives_up_sooner() -> None:
-    """Not its later tries, nor one that is rigid or that friction does not hold."""
+def test_who_goes_on_and_how_long_each_may_fail() -> None:
+    """Tries that go on, and what they go on from where there are several, end soon; those that begin at rest as the last do not."""
 
-    def patience(body: dict[str, object], friction: float) -> list[int | None]:
-        return [way.most_wasted for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
+    def tries(body: dict[str, object], friction: float | str) -> list[tuple[bool, int | None]]:
+        return [
+            (way.goes_on, way.most_wasted) for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))
+        ]
 
-    assert patience({"shape": "hemisphere"}, GRIP) == patience({"shape": "wave"}, GRIP) == [SOON, None, None, None]
-    assert not any(patience({"shape": "hemisphere"}, 0.1) + patience({"shape": "hemisphere", "rigid": True}, GRIP))
+    last = [(False, None)] * 2
+    assert tries({"shape": "hemisphere"}, GRIP) == tries({"shape": "wave"}, GRIP) == [(False, SOON), *[(True, SOON)] * 3, *last]
+    assert tries({"shape": "hemisphere"}, 0.1) == [(False, None), (True, None), (True, SOON), *last]
+    for held in (tries({"shape": "hemisphere", "rigid": True}, GRIP), tries({"shape": "hemisphere"}, "stick")):
+        assert held == [(False, None), (True, SOON), (False, None)]
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")

@@ -9,12 +9,15 @@ import pytest
 from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_body
 from planar_fixtures import press_of
 
+from gelsim import pipeline
 from gelsim.bench.presses import ball
 from gelsim.errors import PressEnd, SolveError, SolveStatus
 from gelsim.fem import _further, quasistatic  # pyright: ignore[reportPrivateUsage]
-from gelsim.fem.newton import Newton, NewtonOptions, stalls
+from gelsim.fem.batch import run_batch
+from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
+from gelsim.materials import gel_material, object_material
 from gelsim.results import Deformation
 from gelsim.scene_file import build_scene
 
@@ -274,3 +277,61 @@ def test_of_two_tries_the_better_is_kept() -> None:
         assert _further(worse, better) is better
         assert _further(better, worse) is better
     assert _further(near, replace(near)) is near
+
+
+@pytest.mark.parametrize("batched", [False, True])
+@pytest.mark.parametrize("on_object", [False, True])
+def test_a_lost_press_goes_on_by_other_points(on_object: bool, batched: bool) -> None:
+    """A soft ball with friction, lost at a quarter of its way, is led on with contact's points on the other surface, and is then what it is
+    by these alone, but for what the two differ by at this coarseness."""
+    scene = build_scene({
+        "fidelity": "fast", "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0}, "contact": {"friction_coefficient": 0.8},
+        "object": {"shape": "hemisphere", "radius_mm": 5.0, "youngs_modulus_kpa": 200.0},
+        "press": {"depth_mm": 0.8, "force_n": "none", "frames": 5, "shear_mm": [1.0, 0.0], "symmetry": "none"},
+    })  # fmt: skip
+
+    def made(on_object: bool) -> PressProblem:
+        materials = gel_material(scene), object_material(scene)
+        return PressProblem(scene, *pipeline.bodies(scene), *materials, "cpu", on_object=on_object, contact_points=12)
+
+    course, first, second = quasistatic.Course(), made(not on_object), made(on_object)
+    first.course = second.course = course
+    solve = first.newton.solve
+
+    def lost(reach: float, tolerance: float | None = None, solving: bool = True) -> NewtonReport:
+        report = solve(reach, tolerance, solving)
+        gone = solving and first.solids.state()[0][first.driven, 2].min() < -0.21
+        return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
+
+    first.newton.solve = lost  # type: ignore[method-assign]
+    begun = run_press(first, throw=False)
+    assert begun.lost and begun.approach == pytest.approx([0.0, 0.2 * MM])
+    assert course.before is not None
+    whole = run_batch([second])[0] if batched else run_press(second)
+    assert whole.status is SolveStatus.CONVERGED and whole.approach == pytest.approx(np.arange(5) * 0.2 * MM)
+    assert whole.force[:2] == pytest.approx(begun.force), "what was recorded before stays"
+    alone = run_press(made(on_object))
+    off = np.abs(whole.force - alone.force).max(axis=1)[1:] / np.abs(alone.force[1:, 2])
+    # The first one is what the two ways differ by. A third of the shear was there when the points changed, 7 % of that state's normal force:
+    # what sticks keeps its places. (Found: 0.007, then at most 0.006.)
+    assert off[0] < 0.02 and off[1:].max() < 2 * off[0]
+    assert alone.force[1, 0] > 0.25 * alone.force[-1, 0] and alone.force[1, 0] > 5 * off[0] * -alone.force[2, 2]
+    energy = whole.info["energy"]
+    assert isinstance(energy, dict) and abs(energy["drift"]) < 0.01  # found: 0.002
+
+
+def test_a_search_for_a_force_records_its_own_way() -> None:
+    """The states of a press to a force are those of one to the depth it found, solved anew: no second march is needed."""
+    scene = ball_scene(0.6, 4, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    to_force = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.02))
+    found = run_press(problem_of(to_force, gel, rigid_body(to_force, gel)))
+    assert found.info["ended_by"] == PressEnd.FORCE and len(found.approach) == 4
+    assert -found.force[-1, 2] == pytest.approx(0.02, rel=quasistatic.FORCE_TOLERANCE)
+    depth = found.approach[-1] / MM
+    to_depth = scene.replace(press=replace(scene.press, depth_mm=depth, force_n=None))
+    again = run_press(problem_of(to_depth, gel, rigid_body(to_depth, gel)))
+    assert found.approach == pytest.approx(again.approach)
+    # each leaves up to OVERLAP_MM of overlap, in steps of another length; the force goes as the depth to the power of 1.5
+    loose = 1.5 * quasistatic.OVERLAP_MM / (depth / 3)
+    assert found.force == pytest.approx(again.force, rel=loose, abs=1e-6)
