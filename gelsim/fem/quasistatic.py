@@ -110,7 +110,7 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
         search = _Search(problem)
         yield from search.run(CAREFUL_STEP, int(search.depth / CAREFUL_STEP) + 2, None, CAREFUL_STEP, before)
         found = search.found()
-        if found[1] is PressEnd.LOST and course.followed:
+        if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
             return search.deformation(PressEnd.LOST, "")
         course.found, course.before = found, None
