@@ -6,8 +6,12 @@ has no answer, the one before stands. A step that does not converge is halved, f
 tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Later tries march
 in such steps from the start, and where that does not get there in steps as long as the spacing. Recorded states
 are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
-first march finds how far that is, and a second one records. What ended a press its info says (`errors.PressEnd`): where the first march
-finds no equilibrium further on, the states on the way there count as converged all the same, and `fem.solve_press` tries again.
+search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share of the way is not known
+before, a second march records. What ended a press its info says (`errors.PressEnd`).
+
+A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
+(`fem.ways`). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
+stays. Solids that remember begin at rest instead.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
@@ -72,9 +76,9 @@ class Course:
     before: _March | None = None
     """The lost march of the try before, to go on from; None begins at rest."""
     found: tuple[float, PressEnd, str] | None = None
-    """Approach [m] at which the press ends, what it ends at there, and why no further: once that is known."""
+    """Approach [m] at which the press ends, what it ends at there, and why no further: once a try has found it and not recorded the way."""
     searched: bool = False
-    """Whether it was found in several tries, none of which has recorded the press."""
+    """Whether that was found by going on from another search, so that all are to begin again."""
 
 
 def run_press(problem: PressProblem, *, progress: Progress | None = None, throw: bool = True) -> Deformation:
@@ -104,23 +108,22 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     """
     press, course = problem.scene.press, problem.course or Course()
     before, march = course.before, None
-    if press.depth_mm is not None:
-        course.found = press.depth_mm / MM, PressEnd.DEPTH, ""
-    elif course.found is None:
+    found = course.found if press.depth_mm is None else (press.depth_mm / MM, PressEnd.DEPTH, "")
+    if found is None:
         search = _Search(problem)
         yield from search.run(CAREFUL_STEP, int(search.depth / CAREFUL_STEP) + 2, None, CAREFUL_STEP, before)
         found = search.found()
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
             return search.deformation(PressEnd.LOST, "")
-        course.found, course.before = found, None
+        course.before = None
         if before is not None:
-            course.searched = True
+            course.found, course.searched = found, True
             return search.deformation(found[1], "")
         straight = not any(press.shear_mm) and not press.twist_deg
         if straight and problem.memory is None and (yield from search.record(found[0], press.frames, progress)):
             march = search
-    depth, end, beyond = course.found
+    depth, end, beyond = found
     if march is None:
         spacing = depth / (press.frames - 1)
         for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
@@ -131,15 +134,17 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     assert march is not None
     message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
-        end, course.before = PressEnd.LOST, march if problem.memory is None else None
+        if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
+            course.found, course.before = found, march
+        end = PressEnd.LOST
         message = (
             f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "
             "solved and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes"
         )
     deformation = march.deformation(end, message)
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        found = beyond or f" with {march.normal_force:.3g} N"
-        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{found}")
+        why = beyond or f" with {march.normal_force:.3g} N"
+        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{why}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation
