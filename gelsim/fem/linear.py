@@ -149,9 +149,14 @@ class SuperLUSolver:
         n = len(self._indptr) - 1
         upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(n, n))
         full = upper + sp.triu(upper, 1).T
-        self._lu = splu(full.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        try:
+            self._lu = splu(full.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        except RuntimeError:  # exactly singular: no answer, as Newton sees by it, which may take a shorter step
+            self._lu = None
 
     def solve(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self._lu is None:
+            return np.full_like(b, np.nan)
         return self._lu.solve(b.T).T if b.ndim > 1 else self._lu.solve(b)
 
 

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import warp as wp
-from fem_fixtures import MM, Array, box_mesh, solids_of, tangent_of
+from fem_fixtures import MM, Array, ball_scene, box_mesh, flat_gel, problem_of, rigid_body, solids_of, tangent_of
 
+from gelsim.fem import linear
 from gelsim.fem.assembly import Solids
+from gelsim.fem.batch import run_batch
 from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, find_mkl, float64_factors, make_solver
 from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
+from gelsim.fem.quasistatic import run_press
 from gelsim.fem.reference import element_tangent
 from gelsim.materials import ElasticMaterial
 
@@ -252,3 +255,29 @@ def test_an_exact_step_of_a_saddle_goes_downhill() -> None:
     # a shift of 0.008 is too little, of 0.06 it is enough: 2/(0.06 - 0.02), and 0.1²/1.3 + 0.1²/3 of the others
     assert b @ steps[1] == pytest.approx(2 / 0.04, rel=1e-2)
     assert system.factorisations == 4
+
+
+def test_a_singular_matrix_has_no_answer() -> None:
+    """Not an error that ends a worker: Newton takes what is not finite for a step that failed."""
+    solver = SuperLUSolver()
+    matrix = np.array([[1.0, 2.0], [2.0, 4.0]])
+    indptr, indices = np.array([0, 2, 3], np.int32), np.array([0, 1, 1], np.int32)
+    solver.analyse(indptr, indices, np.zeros(3))
+    solver.factorise(np.array([1.0, 2.0, 4.0]))
+    assert np.isnan(solver.solve(matrix @ np.ones(2))).all()
+    solver.factorise(np.array([1.0, 2.0, 5.0]))
+    assert solver.solve(np.array([3.0, 7.0])) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_a_press_whose_matrices_are_singular_is_lost(monkeypatch: pytest.MonkeyPatch, batched: bool) -> None:
+    def singular(*_: object, **__: object) -> None:
+        raise RuntimeError("Factor is exactly singular")
+
+    monkeypatch.setattr(linear, "make_solver", lambda single=False: SuperLUSolver())
+    scene = ball_scene(0.3, 2, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 2, 6.0, 3.0)
+    problem = problem_of(scene, gel, rigid_body(scene, gel))  # contact projects by a factor of its own
+    monkeypatch.setattr("scipy.sparse.linalg.splu", singular)
+    press = run_batch([problem])[0] if batched else run_press(problem, throw=False)
+    assert press.lost and len(press.approach) == 1
