@@ -6,9 +6,7 @@
     D = Σ ½(t₀ + t)·e  over friction's points: e the slip of a load step, t₀ and t the traction before and after it
     C = Σ ½(p₀ + p) Δ(overlap)  over contact's points: what the penalty and its multiplier take up, an error of the method
 
-    X = what E loses where a press goes on by another way (quasistatic.py): the same bodies, more or less stiff
-
-so drift = (W - E - D - C - X)/W is zero but for the size of the load steps and Newton's tolerance. R·du/ds over the approach s is integrated by
+so drift = (W - E - D - C)/W is zero but for the size of the load steps and Newton's tolerance. R·du/ds over the approach s is integrated by
 monotone cubics through the load steps (for a power law of 1.2 to 2.5 and five steps within 0.1 %). With "stick", D is what friction's own
 penalty gives way.
 
@@ -37,7 +35,7 @@ class EnergyBalance:
         self._approach = [0.0]
         self._power: list[tuple[float, float]] = []
         """R·Δu/Δs of each step with R at its beginning and at its end."""
-        self._stored = self._lost = self._overlap_work = self._changed = 0.0
+        self._stored = self._lost = self._overlap_work = 0.0
         self._internal = self._u = np.zeros_like(problem.solids.rest)
         nodes, points = len(problem.driven), len(problem.contact.rest_weight)
         self._moved, self._reaction = np.zeros((nodes, 3)), np.zeros((nodes, 3))
@@ -76,7 +74,6 @@ class EnergyBalance:
         """Follows the same press solved another way, from its present state, whose contact has settled."""
         contact = problem.contact
         self.problem = problem
-        self._changed += problem.solids.energy() - self._stored
         self._pressure, self._overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
         self._overlap[self._pressure <= 0.0] = 0.0
         self._traction = contact.traction.numpy().copy()
@@ -86,13 +83,13 @@ class EnergyBalance:
         from scipy.interpolate import PchipInterpolator
 
         if not self._power:
-            return {"work_j": 0.0, "stored_j": 0.0, "dissipated_j": 0.0, "overlap_j": 0.0, "changed_j": 0.0, "drift": 0.0}
+            return {"work_j": 0.0, "stored_j": 0.0, "dissipated_j": 0.0, "overlap_j": 0.0, "drift": 0.0}
         begin, end = np.array(self._power).T
         # between two steps the mean of what both say: the same where the platen moves straight
         power = np.array([begin[0], *(0.5 * (end[:-1] + begin[1:])), end[-1]])
         work = float(PchipInterpolator(self._approach, power).integrate(0.0, self._approach[-1]))
-        parts = (work, self._stored, self._lost, self._overlap_work, -self._changed)
+        parts = (work, self._stored, self._lost, self._overlap_work)
         drift = (work - sum(parts[1:])) / work if abs(work) > _SEEN else 0.0
         scale = self.problem.copies * JOULE
-        names = ("work_j", "stored_j", "dissipated_j", "overlap_j", "changed_j")
+        names = ("work_j", "stored_j", "dissipated_j", "overlap_j")
         return {name: part * scale for name, part in zip(names, parts, strict=True)} | {"drift": drift}
