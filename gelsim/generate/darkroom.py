@@ -2,7 +2,7 @@
 
 The picture is the plan's, at fewer pixels of the same proportions: the same field, coat and markers, whose texture is averaged over the
 larger pixels (`optics.baked`). Nothing is written. Averaged to the same network picture, it differs from one of the plan's own size by what
-a sample a pixel misses of light that varies within it (docs/learner.md has it in levels).
+a sample a pixel misses of light that varies within it (docs/learner.md, *On a GPU*, has it in levels).
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from learn.estimate import batches, estimate
 from learn.predict import find_model, find_models, predict
 from learn.recordings import record_episode
 
-ROW_RMSE = 3.8
-"""Of firm presses of trained shapes, novel hardness (docs/learner.md, *More presses*)."""
+ROW_RMSE = 3.2
+"""Of firm presses of trained shapes, novel hardness (docs/learner.md, *What is shipped, in numbers*)."""
 
 
 @pytest.mark.parametrize("name", ["paper2017", "varied"])
@@ -28,7 +28,7 @@ def test_it_is_small_and_says_what_it_was_trained_on(name: str) -> None:
     assert sum(path.stat().st_size for path in find_model(name, "--model").parent.glob("*.pt")) < 20e6
 
 
-@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 40.265, 41.672), ("varied", 72.654, 73.499)])
+@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 41.663, 44.029), ("varied", 53.887, 55.071)])
 def test_it_reads_as_it_did_when_it_was_trained(name: str, untold: float, told: float) -> None:
     """A made-up dent, that no gel would make: what is compared is the file, and the way from pictures to a number."""
     checkpoint = load(find_model(name, "--model"))
