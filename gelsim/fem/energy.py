@@ -29,15 +29,16 @@ _SEEN = 1e-12
 
 
 class EnergyBalance:
-    """Follows a press, load step after load step. A shallow copy keeps what it is at a step."""
+    """Follows a press, load step after load step."""
 
     def __init__(self, problem: PressProblem) -> None:
         self.problem = problem
-        self._approach: tuple[float, ...] = (0.0,)
-        self._power: tuple[tuple[float, float], ...] = ()
+        self._approach = [0.0]
+        self._power: list[tuple[float, float]] = []
         """R·Δu/Δs of each step with R at its beginning and at its end."""
-        self.missing = 0.0
-        """Share of the last step's work that went nowhere; of the first two, whose work is not known so well, 0."""
+        self.jump = 0.0, 0.0
+        """The largest share of a step's work that went nowhere, and the approach [m] that the step ended at; but for the first two, whose
+        work is not known so well."""
         self._stored = self._changed = self._lost = self._overlap_work = 0.0
         self._internal = self._u = np.zeros_like(problem.solids.rest)
         nodes, points = len(problem.driven), len(problem.contact.rest_weight)
@@ -57,7 +58,8 @@ class EnergyBalance:
         moved = problem.solids.displacement.numpy()[problem.driven]
         travel, spacing = moved - self._moved, approach - self._approach[-1]
         begin, end = float((self._reaction * travel).sum()) / spacing, float((reaction * travel).sum()) / spacing
-        self._power, self._approach = (*self._power, (begin, end)), (*self._approach, approach)
+        self._power.append((begin, end))
+        self._approach.append(approach)
         self._moved, self._reaction = moved, reaction
 
         pressure, overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
@@ -68,8 +70,9 @@ class EnergyBalance:
             traction, slip = contact.traction.numpy().copy(), contact.slip(problem.solids.positions())
             self._lost -= float((contact.rest_weight[:, None] * 0.5 * (traction + self._traction) * slip).sum())
             self._traction = traction
-        work = _power_law_work(approach - spacing, approach, begin, end) if len(self._power) > 2 else 0.0
-        self.missing = 1.0 - (self._held - before) / work if work > _SEEN else 0.0
+        work = _power_law_work(approach - spacing, approach, begin, end)
+        if len(self._power) > 2 and work > _SEEN:
+            self.jump = max(self.jump, (1.0 - (self._held - before) / work, approach))
 
     @property
     def _held(self) -> float:
@@ -113,7 +116,7 @@ class EnergyBalance:
 
 
 def _power_law_work(start: float, stop: float, begin: float, end: float) -> float:
-    """∫ a sⁿ ds through two values: of presses, but for their first steps, within 0.7 %. Where none goes through them by the trapezoid."""
+    """∫ a sⁿ ds through two values: of presses, but for their first steps, within 1 %. Where none goes through them by the trapezoid."""
     if min(start, begin, end) > 0.0 and (order := np.log(end / begin) / np.log(stop / start)) > -0.9:
         return float((stop * end - start * begin) / (order + 1.0))
     return 0.5 * (begin + end) * (stop - start)

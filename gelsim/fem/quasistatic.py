@@ -2,8 +2,7 @@
 
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
 contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
-has no answer, the one before stands. A step that does not converge is halved, and one whose work is not found again in energy, which has
-jumped to another branch of equilibria that a shorter one may not reach, from where it began (in a press's later tries after it was
+has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after it was
 tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Later tries march
 in such steps from the start, and where that does not get there in steps as long as the spacing. Recorded states
 are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
@@ -24,7 +23,6 @@ Left out: inertia, gravity (0.1 kPa per 10 mm of silicone).
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,9 +48,8 @@ CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no 
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
-SNAPPED = 0.015  # share of a step's work that went nowhere, above which the step has left its branch and is tried again in two …
-SNAPPED_STEP = 1 / 4  # … unless it is no longer than this share of the spacing: what buckles does so in any step
 FORCE_TOLERANCE = 2e-3  # of force_n
+JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
 GO_ON_REACH_MM = 1.0  # bounds the search for contact of a march that goes on from another's state
 CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
@@ -146,6 +143,12 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
             "solved and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes"
         )
     deformation = march.deformation(end, message)
+    missing, jumped_at = march.energy.jump
+    if missing > JUMPED:
+        deformation.warn(
+            f"the step to {jumped_at * MM:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a sharp rim "
+            "that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
+        )
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         why = beyond or f" with {march.normal_force:.3g} N"
         deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{why}")
@@ -219,18 +222,11 @@ class _March:
                     return
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""
-            energy = copy(self.energy)
-            energy.step(new)
-            if energy.missing > SNAPPED and new - here.approach > SNAPPED_STEP * spacing * (1 + 1e-9):
-                yield from self._return_to(here, 1.0 + 2 * (new - here.approach) * MM)
-                step, easy, self.halved = (new - here.approach) / 2, 0, self.halved + 1
-                continue
             force = -problem.contact_force()[2]
             if self.press.force_n is not None and force >= self.press.force_n:
                 new, force = yield from self._stop_at_force(here, new, force)
-                self.stopped, energy = True, copy(self.energy)
-                energy.step(new)
-            self.energy = energy
+                self.stopped = True
+            self.energy.step(new)
             self._settle()
             self._previous, here = here, self._state(new)
             self._arrive(here, force)

@@ -339,22 +339,21 @@ def test_energy_that_stiffer_tets_hold_is_told_apart(batched: bool) -> None:
     assert abs(energy["drift"]) < 0.003  # found: 0.001; as part of what is stored it made it -0.017
 
 
-@pytest.mark.parametrize("batched", [False, True])
-def test_a_step_that_leaves_its_branch_is_made_in_two(batched: bool) -> None:
-    """Without friction the gel slides over the sharp rim of a rigid punch: where a step jumps over that, its work is missed in energy."""
+def test_a_step_that_jumps_to_another_branch_is_told() -> None:
+    """Without friction the gel slides over the sharp rim of a rigid punch: its last step jumps over that to 4 % less force than short steps
+    find, and its work is missed in energy. What sticks does not jump."""
 
-    def pressed(frames: int, batched: bool = False) -> Deformation:
+    def told(friction: float | str) -> list[str]:
         scene = build_scene({
-            "fidelity": "fast", "contact": {"friction_coefficient": 0.0}, "object": {"shape": "punch", "radius_mm": 3.0, "rigid": True},
-            "press": {"depth_mm": 0.5, "force_n": "none", "frames": frames, "symmetry": "mirror"},
+            "fidelity": "fast", "object": {"shape": "punch", "radius_mm": 3.0, "rigid": True},
+            "press": {"depth_mm": 0.5, "force_n": "none", "frames": 6, "symmetry": "mirror"}, "contact": {"friction_coefficient": friction},
         })  # fmt: skip
-        problem = PressProblem(scene, *pipeline.bodies(scene), gel_material(scene), object_material(scene), "cpu")
-        return run_batch([problem])[0] if batched else run_press(problem)
+        press = run_press(PressProblem(scene, *pipeline.bodies(scene), gel_material(scene), object_material(scene), "cpu"))
+        return [text for text in press.info.get("warnings", []) if "another branch" in text]  # type: ignore[attr-defined]
 
-    long, short = pressed(6, batched), pressed(21)
-    energy = long.info["energy"]
-    assert isinstance(energy, dict) and abs(energy["drift"]) < 0.02  # found: 0.008; without that 0.035
-    assert long.force[-1, 2] == pytest.approx(short.force[-1, 2], rel=5e-3)  # found: 2e-6; without that 0.045
+    (jumped,) = told(0.0)
+    assert jumped.startswith("the step to 0.5 mm lost 6% of its work")
+    assert not told("stick")
 
 
 def test_a_search_for_a_force_records_its_own_way() -> None:
