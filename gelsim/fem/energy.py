@@ -62,8 +62,7 @@ class EnergyBalance:
         self._approach.append(approach)
         self._moved, self._reaction = moved, reaction
 
-        pressure, overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
-        overlap[pressure <= 0.0] = 0.0
+        pressure, overlap = self._overlapping()
         self._overlap_work += float((contact.rest_weight * 0.5 * (pressure + self._pressure) * (overlap - self._overlap)).sum())
         self._pressure, self._overlap = pressure, overlap
         if contact.frictional:
@@ -81,14 +80,13 @@ class EnergyBalance:
 
     def go_on(self, problem: PressProblem) -> None:
         """Follows the same press solved another way, from its present state, whose contact has settled."""
-        self.problem, contact = problem, problem.contact
+        self.problem = problem
         self._internal, self._reaction = self._forces()
         if problem.memory is None:
             stored = problem.solids.energy()
             self._changed, self._stored = self._changed + stored - self._stored, stored
-        self._pressure, self._overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
-        self._overlap[self._pressure <= 0.0] = 0.0
-        self._traction = contact.traction.numpy().copy()
+        self._pressure, self._overlap = self._overlapping()
+        self._traction = problem.contact.traction.numpy().copy()
 
     def _forces(self) -> tuple[Array, Array]:
         """Internal forces of the present state on all nodes; with contact's, on the driven ones [mN]."""
@@ -97,6 +95,13 @@ class EnergyBalance:
         problem.contact.add_force(problem.solids.positions(), external)
         internal, _, _ = problem.solids.internal_force()
         return internal.copy(), (internal + external.numpy())[problem.driven]
+
+    def _overlapping(self) -> tuple[Array, Array]:
+        """Pressure of contact's points [kPa], and the overlap of those under it [mm]."""
+        contact = self.problem.contact
+        pressure, overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
+        overlap[pressure <= 0.0] = 0.0
+        return pressure, overlap
 
     def report(self) -> dict[str, float]:
         """Energies of the whole body [J] and the relative drift."""

@@ -29,8 +29,8 @@ def test_it_is_small_and_says_what_it_was_trained_on(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 41.663, 44.029), ("varied", 53.887, 55.071)])
-def test_it_reads_as_it_did_when_it_was_trained(name: str, untold: float, told: float) -> None:
-    """A made-up dent, that no gel would make: what is compared is the file, and the way from pictures to a number."""
+def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, untold: float, told: float) -> None:
+    """A made-up dent. In a thicker gel, or a softer one, the same picture means a softer object."""
     checkpoint = load(find_model(name, "--model"))
     rows, columns = checkpoint.config.input.picture
     y, x = np.mgrid[:rows, :columns] / columns
@@ -48,10 +48,11 @@ def test_it_reads_as_it_did_when_it_was_trained(name: str, untold: float, told: 
 
     # Sums of float32 in another order, on another machine.
     assert read(UNKNOWN_GEL) == pytest.approx(untold, abs=0.01) and read((2.4, 1.0, 17.0)) == pytest.approx(told, abs=0.01)
+    assert read((2.8, 1.0, 17.0)) + 2 < read((2.4, 1.0, 17.0)) < read((2.4, 1.0, 20.0)) - 1
 
 
 @pytest.mark.parametrize("name", ["paper2017", "varied"])
-def test_it_heeds_the_gel(name: str) -> None:
+def test_it_heeds_the_gel_of_a_press(name: str) -> None:
     """A simulated press of a ball of Shore 00-40, in a gel of 2.4 mm and 00-17 in truth: in a thicker gel, or a softer one, the same
     pictures mean a softer object."""
     checkpoint = load(find_model(name, "--model"))
