@@ -99,7 +99,8 @@ class EnergyBalance:
     def _overlapping(self) -> tuple[Array, Array]:
         """Pressure of contact's points [kPa], and the overlap of those under it [mm]."""
         contact = self.problem.contact
-        pressure, overlap = contact.pressure.numpy().copy(), np.maximum(-contact.gap.numpy(), 0.0)
+        pressure: Array = contact.pressure.numpy().copy()
+        overlap: Array = np.maximum(-contact.gap.numpy(), 0.0)
         overlap[pressure <= 0.0] = 0.0
         return pressure, overlap
 
