@@ -99,8 +99,8 @@ class EnergyBalance:
     def _overlapping(self) -> tuple[Array, Array]:
         """Pressure of contact's points [kPa], and the overlap of those under it [mm]."""
         contact = self.problem.contact
-        pressure: Array = contact.pressure.numpy().copy()
-        overlap: Array = np.maximum(-contact.gap.numpy(), 0.0)
+        pressure = np.array(contact.pressure.numpy(), np.float64)
+        overlap = np.maximum(-np.asarray(contact.gap.numpy(), np.float64), 0.0)
         overlap[pressure <= 0.0] = 0.0
         return pressure, overlap
 
