@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from gelsim.errors import SceneError
-from gelsim.workers import Died, Handful, Work, settings
+from gelsim.workers import Died, Handful, Work, settings, wait_asleep
 
 
 class RayCrew:
@@ -44,7 +44,7 @@ class RayCrew:
 
     def start(self, number: int, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> _Actor:
         actor = self._ray.remote(_Server).options(num_cpus=1, num_gpus=self._gpu, runtime_env={"env_vars": settings(1)})
-        return _Actor(self._ray, actor.remote(make, arguments))
+        return _Actor(self._ray, actor.remote(make, arguments, self._gpu > 0.0))
 
     def ready(self, workers: Sequence[_Actor], timeout: float) -> list[_Actor]:
         promises = [worker.promise for worker in workers]
@@ -65,7 +65,9 @@ def _knock(address: str) -> None:
 
 
 class _Server:
-    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], on_gpu: bool) -> None:
+        if on_gpu:
+            wait_asleep()
         self._work = make(*arguments)
 
     def work(self, handful: Handful) -> Any:

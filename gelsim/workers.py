@@ -11,6 +11,7 @@ between them, for PATIENCE. And workers that stand still, all at once (processes
 
 from __future__ import annotations
 
+import ctypes
 import math
 import multiprocessing
 import os
@@ -33,6 +34,8 @@ STILL = 90.0
 """Seconds without an answer from any of many workers, after which they count as standing still; twice that before the first answer, as
 kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECONDS over their number: two slow pieces are no standstill."""
 
+SLEEP_WHILE_WAITING = 4
+"""CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
 MPS_SHARE = "CUDA_MPS_ACTIVE_THREAD_PERCENTAGE"
 """Per cent of a GPU's multiprocessors that a client of MPS may use; without MPS it does nothing."""
 
@@ -97,7 +100,7 @@ class LocalCrew:
         if self.gpus:
             share = max(100 // math.ceil(self.count / len(self.gpus)), 1)
             gpu = {"CUDA_VISIBLE_DEVICES": self.gpus[number % len(self.gpus)], MPS_SHARE: os.environ.get(MPS_SHARE, str(share))}
-        return _Process(make, arguments, settings(self.threads) | gpu)
+        return _Process(make, arguments, settings(self.threads) | gpu, bool(gpu))
 
     def ready(self, workers: Sequence[_Process], timeout: float) -> list[_Process]:
         pipes = wait([worker.pipe for worker in workers], timeout=timeout)
@@ -105,10 +108,10 @@ class LocalCrew:
 
 
 class _Process:
-    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], environment: dict[str, str]) -> None:
+    def __init__(self, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], environment: dict[str, str], on_gpu: bool) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
-        self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid()), daemon=True)
+        self.process = context.Process(target=_serve, args=(other, make, arguments, os.getpid(), on_gpu), daemon=True)
         with in_environment(environment):
             self.process.start()
         other.close()
@@ -239,8 +242,23 @@ def in_environment(names: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], parent: int) -> None:
+def wait_asleep() -> None:
+    """This process sleeps while it waits for its GPU; by CUDA's default it spins, and takes the core from one that has work.
+
+    To be called before anything uses CUDA; without it nothing happens.
+    """
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return
+    if cuda.cuInit(0) == 0:
+        cuda.cuDevicePrimaryCtxSetFlags_v2(ctypes.c_int(0), ctypes.c_uint(SLEEP_WHILE_WAITING))
+
+
+def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[Any, ...], parent: int, on_gpu: bool) -> None:
     end_with(parent)
+    if on_gpu:
+        wait_asleep()
     work = make(*arguments)
     while True:
         try:

@@ -42,6 +42,8 @@ NUMERICAL = (
 """Failures that would come again; others (DIED, TIMEOUT) are tried again by --resume."""
 DEVICES = ("cpu", "cuda")
 """That solve and draw."""
+PER_CORE = 2
+"""Processes a core that share a GPU: they sleep while they wait for it."""
 MANIFEST_SECONDS = 20.0
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
@@ -65,7 +67,7 @@ def generate(
     Args:
         plan: Name of a plan that comes along, or path of a TOML file.
         episodes: How many, counted from index 0; with `resume` it may be more than before.
-        workers: Processes; one per core by default.
+        workers: Processes; by default one per core, on CUDA two.
         ray: Address of a Ray cluster that works instead of this machine.
         device: Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers.
         light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
@@ -204,7 +206,8 @@ def crew_of(workers: int | None, device: str, ray: str | None) -> Crew:
         from gelsim.cluster import RayCrew
 
         return RayCrew(ray, workers, gpu=device == "cuda")
-    return LocalCrew(workers or os.cpu_count() or 1, gpus=gpus_of(device))
+    gpus = gpus_of(device)
+    return LocalCrew(workers or (PER_CORE if gpus else 1) * (os.cpu_count() or 1), gpus=gpus)
 
 
 def gpus_of(device: str) -> list[str]:

@@ -3,6 +3,7 @@ datasets of a tiny plan: killed, resumed, with one and two workers."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import resource
 import signal
@@ -11,6 +12,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -167,6 +169,37 @@ def test_gpus_are_given_in_turn_and_shared(said: str | None, share: str, monkeyp
         monkeypatch.setenv(workers.MPS_SHARE, said)
     done = [item.rows[0][0] for item in work_through([(n,) for n in range(3)], LocalCrew(3, gpus=("0", "7")), make_seeing, (), lost)]
     assert {item["sees"] for item in done} <= {"0", "7"} and {item["share"] for item in done} == {share}
+
+
+@pytest.mark.parametrize(("on_gpu", "begun"), [(True, ["cuInit", "flags 4"]), (False, [])])
+def test_a_worker_sleeps_while_it_waits_for_its_gpu(on_gpu: bool, begun: list[str], monkeypatch: pytest.MonkeyPatch):
+    called: list[str] = []
+    cuda = SimpleNamespace(
+        cuInit=lambda flags: called.append("cuInit") or 0,
+        cuDevicePrimaryCtxSetFlags_v2=lambda device, flags: called.append(f"flags {flags.value}") or 0,
+    )
+    monkeypatch.setattr(workers.ctypes, "CDLL", lambda name: cuda)
+    monkeypatch.setattr(workers, "end_with", lambda parent: None)
+    here, there = multiprocessing.Pipe()
+    there.close()
+
+    def make() -> workers.Work[None]:
+        called.append("make")
+        return lambda handful: None
+
+    workers._serve(here, make, (), 0, on_gpu)
+    assert called == [*begun, "make"]
+
+
+def test_without_cuda_nothing_is_asked_to_sleep(monkeypatch: pytest.MonkeyPatch):
+    def none(name: str):
+        raise OSError(name)
+
+    monkeypatch.setattr(workers.ctypes, "CDLL", none)
+    workers.wait_asleep()
+    no_device = SimpleNamespace(cuInit=lambda flags: 100)  # CUDA_ERROR_NO_DEVICE; it has nothing else to be called
+    monkeypatch.setattr(workers.ctypes, "CDLL", lambda name: no_device)
+    workers.wait_asleep()
 
 
 def test_workers_that_never_begin_end_the_run(monkeypatch: pytest.MonkeyPatch):
