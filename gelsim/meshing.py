@@ -76,9 +76,12 @@ _COARSE = np.radians(30.0)
 """Angle between the corners of a turned object before its surface is refined: at 15 degrees a foot would get edges of a quarter radius."""
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
-_ATTEMPTS = ((0.15, 10.0, 20), (0.05, 10.0, 20), (0.02, 6.0, 80))
-"""How far fTetWild may move the surface before its vertices are put back, per smallest edge length; its AMIPS energy to stop at (a
-regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more tets."""
+_ATTEMPTS = ((1.0, 10.0, 20), (1 / 3, 10.0, 20), (2 / 15, 6.0, 80))
+"""Share of the envelope (`MeshSizes.envelope`) in which fTetWild may move the surface before its vertices are put back; its AMIPS energy to
+stop at (a regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more
+passes."""
+_OF_FACETS = 0.15
+"""The envelope of a surface whose vertices are not put back."""
 
 Progress = Callable[[str], None]
 Within = tuple[tuple[Inclusion, TriMesh], ...]
@@ -125,7 +128,8 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
             TriMesh(*solid_surface(each, np.inf, lambda points: _CHORD * field(points))[:2]) for each in (shape, *(i.shape for i in within))
         )
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
-    mesh = _cached_fill(surface, shape, field, stretch, label, progress, tuple(zip(within, inner, strict=True)))
+    envelope = _OF_FACETS if shape is None else sizes.envelope
+    mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)))
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh
     return mirrored(mesh, symmetry)
@@ -167,7 +171,9 @@ def _volumes(mesh: TetMesh, parts: tuple[str, ...]) -> dict[str, float]:
 
 
 # ---------------------------------------------------------------------------------------------------------------- filling
-def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, within: Within = ()) -> TetMesh:
+def _fill(
+    surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, label: str, within: Within = ()
+) -> TetMesh:
     """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
@@ -178,23 +184,23 @@ def _fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: floa
             np.vstack([inside.vertices, inner.vertices * squeeze]), np.vstack([inside.faces, inner.faces + len(inside.vertices)])
         )
     fault = ""
-    for attempt in _ATTEMPTS:
-        vertices, tets = _tetwild(inside, narrow, attempt, label)
+    for share, energy, passes in _ATTEMPTS:
+        vertices, tets = _tetwild(inside, narrow, share * envelope * smallest, energy, passes, label)
         vertices = vertices / squeeze
         inverted = tet_volumes(vertices, tets) < 0
         tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
         regions = _regions(vertices, tets, within)
-        near = 2 * stretch * (attempt[0] * smallest + _CHORD * field(vertices))
+        near = 2 * stretch * (share * envelope * smallest + _CHORD * field(vertices))
         vertices, faces, patch = _snapped(vertices, tets, regions, shape, within, near)
         quality = tet_quality(vertices * squeeze, tets)
         if quality.min() <= _WORST_QUALITY:
             fault = f"one of quality {quality.min():.3g}; allowed: above {_WORST_QUALITY:g}"
             continue
         mesh = _ten_node(vertices, tets, regions, shape, within, faces, patch, label)
-        smallest = float(jacobian_determinants(mesh.rest_positions, mesh.tets).min())
-        if smallest > 0.0:
+        jacobian = float(jacobian_determinants(mesh.rest_positions, mesh.tets).min())
+        if jacobian > 0.0:
             return mesh
-        fault = f"a folded one (smallest Jacobian {smallest / MM**3:.3g} mm³)"
+        fault = f"a folded one (smallest Jacobian {jacobian / MM**3:.3g} mm³)"
     raise MeshingError(
         f"filling {label} with tetrahedra left {fault}; try another fidelity, or a surface without sliver faces and gaps below 0.05 mm"
     )
@@ -231,12 +237,13 @@ def _together(shape: Solid, within: Within) -> Solid:
     return Solid((*shape.patches, *inner), (*shape.roles, *("interface" for _ in inner)), shape.hull)
 
 
-def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, int], label: str) -> tuple[Array, NDArray[np.int32]]:
+def _tetwild(
+    surface: TriMesh, field: SizeField, envelope: float, energy: float, passes: int, label: str
+) -> tuple[Array, NDArray[np.int32]]:
     """fTetWild in a process of its own: it writes to the standard streams and into the working folder, and a bad surface can crash it.
 
     It draws random numbers that cannot be seeded, so each call gives another mesh; the cache keeps the first.
     """
-    envelope, energy, passes = attempt
     lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     diagonal = float(np.linalg.norm(upper - lower))
     points, cells, values = field.background(lower - 0.05 * diagonal, upper + 0.05 * diagonal)
@@ -244,7 +251,7 @@ def _tetwild(surface: TriMesh, field: SizeField, attempt: tuple[float, float, in
         given = {  # in millimetres: some of its tolerances are absolute
             "vertices": surface.vertices / MM, "faces": surface.faces,
             "bg_vertices": points / MM, "bg_tets": cells, "bg_values": values / LONGER / MM, "edge_length_abs": field.far / LONGER / MM,
-            "epsilon": envelope * min(field.contact, field.rim) / diagonal, "stop_energy": energy, "num_opt_iter": passes,
+            "epsilon": envelope / diagonal, "stop_energy": energy, "num_opt_iter": passes,
         }  # fmt: skip
         np.savez(Path(folder) / "in.npz", **{name: np.asarray(value) for name, value in given.items()})  # type: ignore[arg-type]
         command = [sys.executable, "-c", _WITHOUT_PYVISTA + _CHILD]
@@ -331,15 +338,15 @@ def cache_folder() -> Path:
     return Path(os.environ.get("GELSIM_CACHE") or platformdirs.user_cache_dir("gelsim")) / "meshes"
 
 
-def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, label: str, progress: Progress | None,
-                 within: Within = ()) -> TetMesh:  # fmt: skip
+def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, label: str,
+                 progress: Progress | None, within: Within = ()) -> TetMesh:  # fmt: skip
     """`_fill` from the cache."""
-    key = _key(surface, shape, field, stretch, within)
+    key = _key(surface, shape, field, stretch, envelope, within)
     path = cache_folder() / f"{key}.npz"
     mesh = _read(path)
     if mesh is None:
         (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
-        mesh = _fill(surface, shape, field, stretch, label, within)
+        mesh = _fill(surface, shape, field, stretch, envelope, label, within)
         try:
             _write(path, mesh)
         except OSError as error:  # a full or read-only cache costs time, not the result
@@ -352,10 +359,11 @@ def _say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, within: Within) -> str:
+def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, within: Within) -> str:
     """Hash of everything a mesh depends on. Coordinates are rounded to a picometre, so that the last bits of libm do not matter."""
     digest = hashlib.sha256()
-    settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, _CHILD, LONGER, field.settings(), stretch, shape and shape.roles]
+    asked = [field.settings(), stretch, envelope, shape and shape.roles]
+    settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, _CHILD, LONGER, *asked]
     digest.update(json.dumps(settings, sort_keys=True, default=float).encode())
     digest.update(np.round(surface.vertices * 1e12).astype(np.int64).tobytes())
     digest.update(surface.faces.tobytes())

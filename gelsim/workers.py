@@ -4,9 +4,10 @@ Each is handed a few pieces of work at a time, so that it is known which of them
 libraries would otherwise start a thread a core in every one. A worker that dies, or takes longer than SECONDS, is replaced and its
 pieces are listed; a process whose parent is gone ends itself. Results do not depend on which worker made them, nor on how many there are.
 
-Two troubles are nobody's piece's fault, and cost a piece nothing the first time: it is put back behind the others. Workers that end before
-they have done anything (a GPU's server that takes no new clients for some seconds after others were killed): new ones are started, a pause
-between them, for PATIENCE. And workers that stand still, all at once (processes that share a GPU were seen to): all are replaced.
+A worker that ends, or all that stand still at once, need not be their pieces' fault: of processes that share a GPU one's illegal access
+ends all, and all were seen to stand still. A piece is put back behind the others, until it was in trouble LIVES times. Where workers end
+before they have done anything (a GPU's server takes no new clients for some seconds after others were killed), new ones are started, a
+pause between them, for PATIENCE.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import ctypes
 import math
 import multiprocessing
 import os
+import sys
 import threading
 import time
-from collections import deque
+import traceback
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,6 +39,8 @@ kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECOND
 
 SLEEP_WHILE_WAITING = 4
 """CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
+LIVES = 3
+"""Troubles of a piece, the last of which is told."""
 MPS_SHARE = "CUDA_MPS_ACTIVE_THREAD_PERCENTAGE"
 """Per cent of a GPU's multiprocessors that a client of MPS may use; without MPS it does nothing."""
 
@@ -168,7 +173,7 @@ def work_through(
     """
     left = deque(handfuls)
     places = [_Place(crew.start(number, make, arguments)) for number in range(min(crew.count, len(left)))]
-    still_born, second = 0, set[Handful]()
+    still_born, troubles = 0, Counter[Handful]()
     answered, begun = time.monotonic(), False
     try:
         for place in places:
@@ -190,7 +195,7 @@ def work_through(
                     try:
                         done = place.worker.take()
                     except Died as died:
-                        trouble, innocent = ("DIED", str(died)), not place.worked
+                        trouble, innocent = ("DIED", str(died)), True
                     else:
                         still_born, place.worked, place.handful = 0, True, None
                         answered, begun = time.monotonic(), True
@@ -203,13 +208,13 @@ def work_through(
                     continue
                 if trouble:
                     place.worker.end()
-                    if innocent and trouble[0] == "DIED":
+                    if trouble[0] == "DIED" and not place.worked:
                         still_born += 1
                         if still_born >= STARTS and time.monotonic() - answered > PATIENCE:
                             raise WorkError(f"{still_born} workers ended before they had done anything; the last: {trouble[1]}")
                         time.sleep(PAUSE)
-                    if innocent and handful not in second:
-                        second.add(handful)
+                    troubles[handful] += 1
+                    if innocent and troubles[handful] < LIVES:
                         left.append(handful)
                     else:
                         yield lost(handful, *trouble)
@@ -268,6 +273,11 @@ def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[An
             return
         except KeyboardInterrupt:
             return
+        except Exception:
+            # At once: after a fault of the GPU this process would stand still on its way out, and with it the crew.
+            traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(1)
 
 
 def end_with(parent: int) -> None:

@@ -1,4 +1,4 @@
-"""How much of the gel's outer face touches the object: three readings whose errors have nothing to do with each other, and their mean.
+"""How much of the gel's outer face touches the object: two readings whose errors have nothing to do with each other, and their mean.
 
 A quadratic face that contact ends on cannot follow the true pressure and gap; which of its quadrature points are loaded is known to about
 half their distance. Area is read
@@ -6,14 +6,14 @@ half their distance. Area is read
 1. from the points that are loaded: the sum of their shares of the face;
 2. from the gap beyond: at the end of a smooth contact it opens like (distance)^(3/2), so φ = gap^(2/3) is smooth and begins at zero there
    (Johnson 1985, §5.1 and App. 1). The area A(φ < t) of some levels t beyond the partly loaded faces is fitted by a parabola in t and read
-   at t = 0. Of a round contact, whose φ grows with r, and of a long one, A is such a parabola (Steiner's formula for parallel curves);
-3. from the pressure within: it vanishes like √distance, so A(p > t) is smooth in t². A parabola in t² is read at t = 0.
+   at t = 0. Of a round contact, whose φ grows with r, and of a long one, A is such a parabola (Steiner's formula for parallel curves).
 
-The second and third are kept within a quarter of the partly loaded faces' area from the first, more than points can be wrong by. Where
-pressure rises toward the end, as at a sharp rim, it does not vanish there, and points are counted.
+Where faces are small the second is off by half as much as the first; it counts twice (docs/mechanics.md §4). It is kept within an eighth of
+the partly loaded faces' area from the first: where they are large no parabola is. Where pressure rises toward the end, as at a sharp rim,
+the gap does not open so, and points are counted.
 
 Left out: contact that ends on a face without loaded points, beside one that has some; places of ends, as all that is
-told is one area of the body.
+told is one area of the body. The pressure within, which vanishes like √distance, tells the area too, but scatters more than either.
 """
 
 from __future__ import annotations
@@ -31,15 +31,12 @@ _PARTS = split_faces(np.arange(6, dtype=np.int32)[None, :])
 _NODES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 _UNIT = 2 / 3
 """Quantile over the partly loaded faces of their largest φ, the unit of its levels: contact ends a part of an edge before."""
-GAPS = np.linspace(0.7, 3.0, 8)
+GAPS = np.linspace(0.7, 5.0, 16)
 """Levels of φ in that unit."""
-PRESSURES = np.sqrt(np.linspace(0.15**2, 0.7**2, 8))
-"""Levels of pressure in units of its 95 % quantile over the loaded points: single points stand out."""
-_TOP = 0.95
-_WIDEST = 9.0
+_WIDEST = 5.0
 """Levels of the gap are used as far as their area is so many times that of the loaded points: far away nothing is a parabola."""
-_FARTHEST = 0.25
-"""Share of the partly loaded faces' area by which a reading may differ from the loaded points."""
+_FARTHEST = 0.125
+"""Share of the partly loaded faces' area by which the second reading may differ from the first."""
 _FEWEST = 4
 """Levels of a fit of three numbers."""
 
@@ -67,9 +64,11 @@ def touching_area(places: Array, faces: NDArray[np.int32], gap: Array, pressure:
     part = touched & ~full
     if not part.any() or _rises(faces, full, pressure):
         return counted
-    readings = [counted, *_by_gap(nodes, bary, gap, loaded, counted), *_by_pressure(nodes, bary, pressure)]
+    beyond = _by_gap(nodes, bary, gap, loaded, counted)
+    if beyond is None:
+        return counted
     away = _FARTHEST * float(seen[part].sum())
-    return float(np.mean(np.clip(readings, counted - away, counted + away)))
+    return (counted + 2.0 * float(np.clip(beyond, counted - away, counted + away))) / 3.0
 
 
 def _rises(faces: NDArray[np.int32], full: NDArray[np.bool_], pressure: Array) -> bool:
@@ -79,29 +78,20 @@ def _rises(faces: NDArray[np.int32], full: NDArray[np.bool_], pressure: Array) -
     return bool(inner.any() and outer.any() and pressure[outer].mean() >= pressure[inner].mean())
 
 
-def _by_gap(nodes: Array, bary: Array, gap: Array, loaded: NDArray[np.bool_], counted: float) -> list[float]:
-    """The second reading, or none where no levels lie around the contact."""
+def _by_gap(nodes: Array, bary: Array, gap: Array, loaded: NDArray[np.bool_], counted: float) -> float | None:
+    """The second reading; None where no levels lie around the contact."""
     phi: Array = np.where(loaded, 0.0, np.cbrt(np.clip(gap, 0.0, 1.0)) ** 2)
     touched = np.asarray(loaded.any(axis=1))
     unit = float(np.quantile(phi[touched & ~loaded.all(axis=1)].max(axis=1), _UNIT))
     if unit <= 0.0:
-        return []
+        return None
     near = phi.min(axis=1) < 1.5 * GAPS[-1] * unit
     phi, touched = phi[near], touched[near]
     smooth = phi @ np.linalg.pinv(tri6_shape(bary)).T
     smooth[touched] = phi[touched] @ np.linalg.pinv(bary).T @ _NODES.T  # pressure leaves a kink there
     areas = areas_below(nodes[near], smooth, GAPS * unit)
     used = areas < _WIDEST * counted
-    return [float(np.polyval(np.polyfit(GAPS[used], areas[used], 2), 0.0))] if used.sum() >= _FEWEST else []
-
-
-def _by_pressure(nodes: Array, bary: Array, pressure: Array) -> list[float]:
-    """The third reading."""
-    top = float(np.quantile(pressure[pressure > 0.0], _TOP))
-    touched = (pressure > 0.0).any(axis=1)
-    smooth = pressure[touched] @ np.linalg.pinv(tri6_shape(bary)).T
-    areas = areas_below(nodes[touched], -smooth, -PRESSURES * top)
-    return [float(np.polyval(np.polyfit(PRESSURES**2, areas, 2), 0.0))]
+    return float(np.polyval(np.polyfit(GAPS[used], areas[used], 2), 0.0)) if used.sum() >= _FEWEST else None
 
 
 def areas_below(nodes: Array, values: Array, levels: Array) -> Array:

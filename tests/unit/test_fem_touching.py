@@ -57,8 +57,8 @@ def counted(pressure: Array) -> float:
 def test_the_mean_of_the_readings_is_closer_than_counting(shape: Callable[[Array, float], tuple[Array, Array]]) -> None:
     """Contacts of 60 sizes, about a vertex, where counting is at its worst; the cylinder lies askew to the faces.
 
-    Of exact fields the reading by gap is off by 0.4 % of the radius, by what a parabola in φ misses, and that by pressure by 0.8 %, by what
-    a quadratic function misses of a root (both RMS, of the ball). The mean is off by a third of the three's sum, were they to err alike.
+    Of exact fields the reading by gap, which counts twice, is off by 0.5 % (RMS), by what a parabola in φ misses and what faces that
+    contact ends on tell of it. The mean is off by a third of the three's sum, were they to err alike.
     """
     random = np.random.default_rng(3)
     errors, of_counting = [], []
@@ -75,9 +75,8 @@ def test_the_mean_of_the_readings_is_closer_than_counting(shape: Callable[[Array
         errors.append((touching_area(PLACES, FACES, *fields) / true) ** power - 1)
         of_counting.append((counted(fields[1]) / true) ** power - 1)
     mean, counting = (float(np.sqrt(np.mean(np.square(e)))) for e in (errors, of_counting))
-    bound = (counting + 0.004 + 0.008) / 3
-    assert mean < bound
-    assert shape is cylinder or bound < counting  # the planted fault, counting, is seen
+    bound = (counting + 2 * 0.005) / 3
+    assert mean < bound < counting  # the planted fault, counting, is seen
 
 
 def test_noise_within_contact_stays_small() -> None:
@@ -121,4 +120,3 @@ def test_area_below_a_plane_is_exact() -> None:
 def test_the_module_reads_what_it_says() -> None:
     """Levels of the gap begin below the unit, so that they lie in the faces that contact ends on or beside, and go beyond it."""
     assert touching.GAPS[0] < 1.0 < touching.GAPS[-1]
-    assert 0.0 < touching.PRESSURES[0] < touching.PRESSURES[-1] < 1.0

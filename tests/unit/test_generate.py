@@ -3,6 +3,7 @@ datasets of a tiny plan: killed, resumed, with one and two workers."""
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import resource
@@ -104,6 +105,22 @@ def make_dying(*_: object):
     def work(handful):
         if handful == (3,):
             os._exit(9)
+        return Done(handful)
+
+    return work
+
+
+def make_faulting(folder: Path):
+    """Both of the first two workers fault in the middle of their second piece, and would not end by themselves."""
+    mine = folder / str(os.getpid())
+    mine.touch()
+    faulty, done = len(list(folder.iterdir())) <= 2, []
+
+    def work(handful):
+        done.append(handful)
+        if faulty and len(done) == 2:
+            atexit.register(time.sleep, 1000.0)
+            raise RuntimeError("an illegal memory access was encountered")
         return Done(handful)
 
     return work
@@ -218,7 +235,15 @@ def test_what_workers_in_trouble_held_is_done_by_others(trouble: str, tmp_path: 
     assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
 
 
-def test_a_piece_that_stands_still_twice_is_listed(monkeypatch: pytest.MonkeyPatch):
+def test_a_fault_that_ends_all_costs_no_piece(tmp_path: Path):
+    begun = time.monotonic()
+    handfuls = [(number,) for number in range(6)]
+    done = list(work_through(handfuls, LocalCrew(2), make_faulting, (tmp_path,), lost, still=True))
+    assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
+    assert len(list(tmp_path.iterdir())) == 4 and time.monotonic() - begun < 60.0
+
+
+def test_a_piece_that_stands_still_again_and_again_is_listed(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(workers, "STILL", 2.0)
     monkeypatch.setattr(workers, "SECONDS", 4.0)
     done = {item.handful: item for item in work_through([(n,) for n in range(3)], LocalCrew(2), make_slow_second, (), lost, still=True)}

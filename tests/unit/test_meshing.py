@@ -261,5 +261,5 @@ def test_what_cannot_be_filled_says_so() -> None:
     field = SizeField((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), 1e-3, 0.5, 2e-3)
     sheet = TriMesh(np.array([[0, 0, 0], [5e-3, 0, 0], [0, 5e-3, 0]]), np.array([[0, 1, 2]]))
     with pytest.raises(MeshingError, match=r"filling the object \(sheet\).*try") as caught:
-        meshing._fill(sheet, None, field, 1.0, "the object (sheet)")
+        meshing._fill(sheet, None, field, 1.0, 0.15, "the object (sheet)")
     assert "\n" not in str(caught.value)
