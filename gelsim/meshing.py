@@ -89,11 +89,15 @@ Within = tuple[tuple[Inclusion, TriMesh], ...]
 
 
 # ---------------------------------------------------------------------------------------------------------------- the object
-def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None) -> TetMesh:
+def mesh_object(
+    scene: Scene, symmetry: frozenset[str] = frozenset(), progress: Progress | None = None, *, drawn_before: int = 0
+) -> TetMesh:
     """The object in its own frame, cut at the planes of `symmetry`; groups "base" (top plane) and "contact" (all else but the cut planes).
 
     The base of a `mesh` shape is what faces up within the top 2 % of its height.
 
+    Args:
+        drawn_before: Meshes of it that did not serve: this is another of the same sizes, for fTetWild draws by lot.
     Raises:
         SceneError: The shape fields make no solid.
         MeshingError: The surface cannot be filled, or the filling is of too low quality.
@@ -129,7 +133,7 @@ def mesh_object(scene: Scene, symmetry: frozenset[str] = frozenset(), progress: 
         )
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
     envelope = _OF_FACETS if shape is None else sizes.envelope
-    mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)))
+    mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)), drawn_before)
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh
     return mirrored(mesh, symmetry)
@@ -242,7 +246,7 @@ def _tetwild(
 ) -> tuple[Array, NDArray[np.int32]]:
     """fTetWild in a process of its own: it writes to the standard streams and into the working folder, and a bad surface can crash it.
 
-    It draws random numbers that cannot be seeded, so each call gives another mesh; the cache keeps the first.
+    It draws random numbers that cannot be seeded, so each call gives another mesh; the cache keeps it.
     """
     lower, upper = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     diagonal = float(np.linalg.norm(upper - lower))
@@ -339,9 +343,9 @@ def cache_folder() -> Path:
 
 
 def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, label: str,
-                 progress: Progress | None, within: Within = ()) -> TetMesh:  # fmt: skip
-    """`_fill` from the cache."""
-    key = _key(surface, shape, field, stretch, envelope, within)
+                 progress: Progress | None, within: Within = (), drawn_before: int = 0) -> TetMesh:  # fmt: skip
+    """`_fill` from the cache, which keeps each draw by its number."""
+    key = _key(surface, shape, field, stretch, envelope, within) + (f"-{drawn_before}" if drawn_before else "")
     path = cache_folder() / f"{key}.npz"
     mesh = _read(path)
     if mesh is None:

@@ -39,6 +39,10 @@ Progress = Callable[[str, int, int], None]
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild", "mkl", "trimesh")
 """Packages that decide a result."""
 
+DRAWS = 2
+"""Meshes that a press may have: fTetWild draws them by lot, and a body that buckles or is crushed may find no way on one and find one on
+another (docs/validation.md, *Random scenes*)."""
+
 MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity", "target_error", "target_membrane_um")
 """Parts of a scene that decide its press; `resume` needs them unchanged."""
 
@@ -68,12 +72,19 @@ class Record:
 
 
 def press(
-    scene: Scene, *, device: str = "auto", progress: Progress | None = None, record: Record | None = None, throw: bool = True
+    scene: Scene,
+    *,
+    device: str = "auto",
+    progress: Progress | None = None,
+    record: Record | None = None,
+    throw: bool = True,
+    draws: int = DRAWS,
 ) -> Deformation:
     """Meshes both bodies and solves the press.
 
     Args:
         device: "auto", "cpu" or "cuda".
+        draws: Meshes of a soft object that it may have, one after the other until it gets to its end.
         record: Filled with seconds, mesh sizes and choices.
         throw: Raise when not every state was solved; else the deformation's `status` says so.
     Raises:
@@ -84,7 +95,7 @@ def press(
     if scene.target_error is not None or scene.target_membrane_um is not None:
         return _press_to_target(scene, device, progress, record, throw)
     with record.stage("import"):
-        from gelsim.fem import solve_press
+        import gelsim.fem  # noqa: F401  # Warp, so that it counts as import
         from gelsim.reductions import choose_reduction
     reduction = choose_reduction(scene)
     symmetry = reduction.planes
@@ -92,7 +103,7 @@ def press(
     record.choices["symmetry_reason"] = reduction.reason
     record.choices["symmetry_force_error"] = reduction.error
     gel_material, object_materials = materials.gel_material(scene), materials.object_materials(scene)
-    object_material, part_materials = object_materials.get("body"), list(object_materials.values())[1:]
+    object_material = object_materials.get("body")
     record.choices["gel_modulus_kpa"] = gel_material.youngs_modulus / 1e3
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     for name, material in list(object_materials.items())[1:]:
@@ -100,20 +111,37 @@ def press(
     report = (lambda done, total: progress("press", done, total)) if progress else None
     if reduction.planar:
         return _press_profile(scene, reduction, gel_material, object_material, record, report, throw)
-    gel, body, placement = _bodies(scene, symmetry, record)
-    with record.stage("press"):
-        return solve_press(
-            scene,
-            gel,
-            body,
-            placement,
-            gel_material=gel_material,
-            object_material=object_material,
-            part_materials=part_materials,
-            device=device,
-            progress=report,
-            throw=throw,
-        )
+    return _press_solid(scene, symmetry, device, record, report, throw, 1 if scene.object.rigid else draws)
+
+
+def _press_solid(
+    scene: Scene,
+    symmetry: frozenset[str],
+    device: str,
+    record: Record,
+    progress: Callable[[int, int], None] | None,
+    throw: bool,
+    draws: int,
+) -> Deformation:
+    """The press as a solid; of the object's meshes the one with which it got furthest."""
+    from gelsim.fem import further, solve_press
+
+    best, meshes = None, {}
+    for draw in range(draws):
+        gel, body, placement = _bodies(scene, symmetry, record, draw)
+        with record.stage("press"):
+            found = solve_press(scene, gel, body, placement, device=device, progress=progress)
+        found.info["object_mesh_drawn"] = draw + 1
+        best = further(best, found)
+        if best is found:
+            meshes = dict(record.meshes)
+        if not found.lost:
+            break
+    assert best is not None
+    record.meshes |= meshes
+    if throw and best.status is not SolveStatus.CONVERGED:
+        raise SolveError(best.message, best)
+    return best
 
 
 def _press_profile(
@@ -171,8 +199,10 @@ def _at(scene: Scene, name: str) -> Scene:
     return scene.replace(fidelity=name, target_error=None, target_membrane_um=None)
 
 
-def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
-    """Meshes of gel and object, of a rigid one its surface, and the object's placement at first touch."""
+def _bodies(
+    scene: Scene, symmetry: frozenset[str], record: Record, draw: int = 0
+) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
+    """Meshes of gel and object (the draw-th one of it), of a rigid one its surface, and the object's placement at first touch."""
     with record.stage("import"):
         from gelsim import gel_mesh, meshing, shapes
     with record.stage("mesh"):
@@ -183,7 +213,7 @@ def _bodies(scene: Scene, symmetry: frozenset[str], record: Record) -> tuple[Tet
             body = surface = shapes.rigid_surface(scene, symmetry)
             record.meshes["object"] = {"nodes": len(body.nodes), "elements": 0, "surface_faces": len(body.faces)}
         else:
-            body = meshing.mesh_object(scene, symmetry)
+            body = meshing.mesh_object(scene, symmetry, drawn_before=draw)
             surface = body.surface("contact")
             record.meshes["object"] = meshing.mesh_report(body, materials.parts(scene.object))
         gel = gel_mesh.mesh_gel(scene, symmetry)

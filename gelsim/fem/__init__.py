@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SolveError, SolveStatus
+from gelsim.errors import SolveStatus
 from gelsim.geometry import PlanarMesh, QuadraticSurface, TetMesh
 from gelsim.materials import ElasticMaterial
 from gelsim.results import Deformation, PressSensitivity
@@ -20,6 +20,7 @@ from gelsim.scene import Body, Scene
 
 if TYPE_CHECKING:
     from gelsim.fem.batch import Costs
+    from gelsim.fem.problem import PressProblem
     from gelsim.fem.quasistatic import Course
 
 
@@ -68,44 +69,34 @@ def solve_press(
     body: TetMesh | QuadraticSurface,
     placement: tuple,
     *,
-    gel_material: ElasticMaterial,
-    object_material: ElasticMaterial | None,
-    part_materials: Sequence[ElasticMaterial] = (),
     device: str = "auto",
     progress: Callable[[int, int], None] | None = None,
-    throw: bool = True,
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
     Other tries go on from where the one before it stands, not for long each: with contact's points on the other surface, where friction
     holds a soft object or a smooth one may slide (a ring, a block with waves and one that slides begin with their own); then with twice the
     contact points, volume held at points too, and what sticks sliding at friction `STICK`. Where that does not get there the latter begin
-    at rest, the last time, where friction was less, with `GRIP`. Its info says so. More
-    points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps
-    crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    at rest, and where they go on from each other each has another turn; the last time, where friction was less, with `GRIP`. Its info says
+    so. More points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points
+    keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
         body: The object's mesh, or only its surface where it is rigid; in the object's frame.
         placement: Rotation (3, 3) and translation (3,) [m] that bring it to first touch.
-        object_material: None for a rigid object.
-        part_materials: Of the object's regions 1, 2, … (skin, grains).
         device: "auto" and "cpu" run here; "cuda" solves on the GPU (as a batch of one), or without cuDSS only assembles there.
         progress: Called with (states recorded, states wanted).
-    Raises:
-        SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
     quiet_warp()
     from gelsim.fem.batch import run_batch
-    from gelsim.fem.problem import PressProblem
     from gelsim.fem.quasistatic import run_press
 
     name = "cuda:0" if device == "cuda" else "cpu"
     tries = _tries(scene, gel.symmetry)
     way, course = next(tries)
     while True:
-        bodies = _tried(scene, way), gel, body, placement, gel_material, object_material, name
-        problem = PressProblem(*bodies, part_materials=part_materials, **_discretised(way))
+        problem = _problem(way, scene, gel, body, placement, name)
         problem.course = course
         if name != "cpu" and problem.memory is None and solves_on_gpu():
             press = run_batch([problem], states=progress)[0]
@@ -114,11 +105,7 @@ def solve_press(
         try:
             way, course = tries.send(press)
         except StopIteration as end:
-            best: Deformation = end.value
-            break
-    if throw and best.status is not SolveStatus.CONVERGED:
-        raise SolveError(best.message, best)
-    return best
+            return end.value
 
 
 def _tries(scene: Scene, symmetry: frozenset[str]) -> Generator[tuple[Try, Course], Deformation, Deformation]:
@@ -142,7 +129,7 @@ def _tries(scene: Scene, symmetry: frozenset[str]) -> Generator[tuple[Try, Cours
         if course.searched:
             course.searched, left = False, ways(scene, symmetry)
             continue
-        best = _further(best, press)
+        best = further(best, press)
         if not press.lost:
             break
     assert best is not None
@@ -158,9 +145,9 @@ def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
         first = [SLIDING, replace(PLAIN, goes_on=True)] if _slides(scene.object, symmetry) else [PLAIN]
         return [*first, replace(HELD, goes_on=True, most_wasted=SOON), HELD, GRIPPED]
     first = [SLIDING, PLAIN] if _uneven(scene.object) else [PLAIN, replace(PLAIN, on_object=True)]
-    last = [HELD, replace(HELD, on_object=True)]
-    on = [replace(way, goes_on=number > 0, most_wasted=SOON) for number, way in enumerate([*first, *last])]
-    return [*on, *last]
+    gels, objects = HELD, replace(HELD, on_object=True)
+    on = [replace(way, goes_on=number > 0, most_wasted=SOON) for number, way in enumerate([*first, gels, objects])]
+    return [*on, gels, *(replace(way, goes_on=True, most_wasted=SOON) for way in (objects, gels)), objects]
 
 
 def _slides(body: Body, symmetry: frozenset[str]) -> bool:
@@ -177,11 +164,30 @@ def _uneven(body: Body) -> bool:
     return fine_feature(body) < np.inf
 
 
-def _discretised(way: Try) -> dict[str, Any]:
-    """What of a try the problem is made with."""
-    patient = way.held > 0.0 and not way.goes_on
-    made = {"contact_points": way.contact_points, "held": way.held, "on_object": way.on_object, "patient": patient}
-    return made if way.most_wasted is None else made | {"most_wasted": way.most_wasted}
+def _problem(
+    way: Try, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple, device: str, *, patient: bool | None = None
+) -> PressProblem:
+    """A press as a try discretises it; `patient` None: where volume is held from rest on."""
+    from gelsim.fem.problem import PressProblem
+    from gelsim.materials import gel_material, object_materials
+
+    of_object = list(object_materials(scene).values())
+    made: dict[str, Any] = {} if way.most_wasted is None else {"most_wasted": way.most_wasted}
+    return PressProblem(
+        _tried(scene, way),
+        gel,
+        body,
+        placement,
+        gel_material(scene),
+        of_object[0] if of_object else None,
+        device,
+        part_materials=of_object[1:],
+        contact_points=way.contact_points,
+        held=way.held,
+        on_object=way.on_object,
+        patient=(way.held > 0.0 and not way.goes_on) if patient is None else patient,
+        **made,
+    )
 
 
 def _tried(scene: Scene, way: Try) -> Scene:
@@ -211,7 +217,7 @@ def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], 
         press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved:g} instead{since}")
 
 
-def _further(before: Deformation | None, press: Deformation) -> Deformation:
+def further(before: Deformation | None, press: Deformation) -> Deformation:
     """Of two tries of one press the one to return."""
     if before is None:
         return press
@@ -247,8 +253,6 @@ def solve_batch(
     """
     quiet_warp()
     from gelsim.fem.batch import run_batch
-    from gelsim.fem.problem import PressProblem
-    from gelsim.materials import gel_material, object_materials
 
     done: dict[int, Deformation] = {}
     tries = [_tries(scene, gel.symmetry) for scene, gel, *_ in bodies]
@@ -262,10 +266,7 @@ def solve_batch(
             problems, start = [], time.perf_counter()
             for number, (way, course) in several.items():
                 scene, gel, body, placement = bodies[number]
-                of_object = list(object_materials(scene).values())
-                first = of_object[0] if of_object else None
-                of_all = _tried(scene, way), gel, body, placement, gel_material(scene), first, device
-                problems.append(PressProblem(*of_all, part_materials=of_object[1:], **_discretised(way)))
+                problems.append(_problem(way, scene, gel, body, placement, device))
                 problems[-1].course = course
             if costs is not None:
                 costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
@@ -299,17 +300,14 @@ def differentiate_press(
         gel, body, placement: As of `solve_press`.
         nodes: The gel's nodes (Q, K) whose heights are mixed by `shares` (Q, K).
     Raises:
-        SceneError: The scene has friction or viscosity. SolveError: the press failed, or a state could not be refined.
+        SceneError: The scene has friction or viscosity. gelsim.errors.SolveError: the press failed, or a state could not be refined.
     """
     quiet_warp()
-    from gelsim.fem.problem import PressProblem
     from gelsim.fem.sensitivity import press_sensitivity
     from gelsim.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
-    first = of_object[0] if of_object else None
-    given = scene, gel, body, placement, of_gel, first, "cpu"
-    problem = PressProblem(*given, part_materials=of_object[1:], **_discretised(ways(scene, gel.symmetry)[0]) | {"patient": True})
+    problem = _problem(ways(scene, gel.symmetry)[0], scene, gel, body, placement, "cpu", patient=True)
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
 
 

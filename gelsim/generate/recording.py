@@ -88,7 +88,8 @@ def solve(press: Press, device: str = "cpu") -> Solved:
     record = pipeline.Record()
     where = device if solves_on_gpu() else "cpu"
     try:
-        solved = pipeline.press(resolved(press.scene), device=where, record=record, throw=False)
+        # a plan has other presses, and this one may have gone far enough as it is
+        solved = pipeline.press(resolved(press.scene), device=where, record=record, throw=False, draws=1)
     except (MeshingError, SolveError, SceneError) as error:
         raise PressFailed(type(error).__name__, str(error)) from error
     motion = checked(solved, press.scene)

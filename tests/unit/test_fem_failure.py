@@ -12,7 +12,7 @@ from planar_fixtures import press_of
 from gelsim import pipeline
 from gelsim.bench.presses import ball
 from gelsim.errors import PressEnd, SolveError, SolveStatus
-from gelsim.fem import _further, quasistatic  # pyright: ignore[reportPrivateUsage]
+from gelsim.fem import further, quasistatic  # pyright: ignore[reportPrivateUsage]
 from gelsim.fem.batch import run_batch
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
 from gelsim.fem.problem import PressProblem
@@ -274,9 +274,9 @@ def test_of_two_tries_the_better_is_kept() -> None:
     near, far = (ended(PressEnd.LOST, SolveStatus.CONVERGED, travel) for travel in (1.0, 2.0))
     squashed = ended(PressEnd.LIMIT, SolveStatus.CONVERGED, 0.5)
     for worse, better in ((failed, near), (near, far), (far, squashed), (failed, squashed)):
-        assert _further(worse, better) is better
-        assert _further(better, worse) is better
-    assert _further(near, replace(near)) is near
+        assert further(worse, better) is better
+        assert further(better, worse) is better
+    assert further(near, replace(near)) is near
 
 
 STICKY = build_scene({
