@@ -70,13 +70,16 @@ class _Server:
             wait_asleep()
         self._work = make(*arguments)
 
+    def begin(self) -> None:
+        """Answers once it has been made."""
+
     def work(self, handful: Handful) -> Any:
         return self._work(handful)
 
 
 class _Actor:
     def __init__(self, ray: Any, actor: Any) -> None:
-        self._ray, self._actor, self.promise = ray, actor, None
+        self._ray, self._actor, self.promise = ray, actor, actor.begin.remote()
 
     def give(self, handful: Handful) -> None:
         self.promise = self._actor.work.remote(handful)

@@ -1,13 +1,14 @@
 """Worker processes, of this machine (`LocalCrew`) or of a cluster (`gelsim.cluster`).
 
-Each is handed a few pieces of work at a time, so that it is known which of them ended it. It computes on one thread unless given more:
-libraries would otherwise start a thread a core in every one. A worker that dies, or takes longer than SECONDS, is replaced and its
-pieces are listed; a process whose parent is gone ends itself. Results do not depend on which worker made them, nor on how many there are.
+Each says when it has begun, and is then handed a few pieces of work at a time, so that it is known which of them ended it. It computes on
+one thread unless given more: libraries would otherwise start a thread a core in every one. A worker that dies, or takes longer than
+SECONDS, is replaced; a process whose parent is gone ends itself. Results do not depend on which worker made them, nor on how many there
+are.
 
 A worker that ends, or all that stand still at once, need not be their pieces' fault: of processes that share a GPU one's illegal access
-ends all, and all were seen to stand still. A piece is put back behind the others, until it was in trouble LIVES times. Where workers end
-before they have done anything (a GPU's server takes no new clients for some seconds after others were killed), new ones are started, a
-pause between them, for PATIENCE.
+ends all, and all were seen to stand still. Their pieces are put back behind the others, and listed as lost when that was LIVES times. No
+piece is charged for a worker that never began (a GPU's server takes no new clients for some seconds after others were killed): it is
+started anew, after a pause, and only when none has begun for PATIENCE the work ends.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol, TypeVar
@@ -32,7 +33,8 @@ from gelsim.errors import GelsimError
 SECONDS = 1800.0
 """Allowed for a handful."""
 STARTS, PATIENCE, PAUSE = 3, 30.0, 1.0
-"""Workers that may end before they did anything, one after the other; more of them only within so many seconds, with a pause after each."""
+"""Workers that may end before they begin, one after the other; more of them only within so many seconds from the first, with a pause before
+they are started anew."""
 STILL = 90.0
 """Seconds without an answer from any of many workers, after which they count as standing still; twice that before the first answer, as
 kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECONDS over their number: two slow pieces are no standstill."""
@@ -40,7 +42,7 @@ kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECOND
 SLEEP_WHILE_WAITING = 4
 """CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
 LIVES = 3
-"""Troubles of a piece, the last of which is told."""
+"""Workers that may end, or stand still with all others, over one piece; the last one's end is told."""
 MPS_SHARE = "CUDA_MPS_ACTIVE_THREAD_PERCENTAGE"
 """Per cent of a GPU's multiprocessors that a client of MPS may use; without MPS it does nothing."""
 
@@ -57,7 +59,7 @@ Work = Callable[[Handful], T]
 
 
 class Died(Exception):
-    """A worker that ended before its handful was done; the message says how."""
+    """A worker that ended before it had begun, or before its handful was done; the message says how."""
 
 
 class Worker(Protocol):
@@ -67,7 +69,7 @@ class Worker(Protocol):
         """Hands over work; returns at once."""
 
     def take(self) -> Any:
-        """What it made, once it is ready. Raises Died."""
+        """What it made, once it is ready; the first time only that it has begun. Raises Died."""
 
     def end(self) -> None:
         """Ends it, whatever it is at."""
@@ -142,16 +144,16 @@ class _Process:
 
 @dataclass
 class _Place:
-    """One of a crew's, and what it is at."""
+    """One of a crew's, and what it is at: to begin, a handful, or nothing."""
 
     worker: Worker
+    since: float
+    begun: bool = False
     handful: Handful | None = None
-    since: float = 0.0
-    worked: bool = False
 
-    def give(self, handful: Handful) -> None:
-        self.handful, self.since = handful, time.monotonic()
-        self.worker.give(handful)
+    @property
+    def busy(self) -> bool:
+        return self.handful is not None or not self.begun
 
 
 def work_through(
@@ -166,61 +168,75 @@ def work_through(
 
     Args:
         make: A function of a module that makes, from `arguments`, what does the work; called once in each worker.
-        lost: Says what becomes of a handful (status, message) whose worker died or took too long.
+        lost: Says what becomes of a handful (status, message) whose workers died or took too long.
         still: Whether all are replaced when nobody answers for long (STILL); not for work whose pieces may all take as long.
     Raises:
         WorkError: Workers end before they begin.
     """
-    left = deque(handfuls)
-    places = [_Place(crew.start(number, make, arguments)) for number in range(min(crew.count, len(left)))]
-    still_born, troubles = 0, Counter[Handful]()
-    answered, begun = time.monotonic(), False
+    left, troubles = deque(handfuls), Counter[Handful]()
+
+    def begin(number: int) -> _Place:
+        return _Place(crew.start(number, make, arguments), time.monotonic())
+
+    places = [begin(number) for number in range(min(crew.count, len(left)))]
+    gone: list[int] = []  # of places, to be filled while there is work
+    unborn, since_unborn = 0, 0.0
+    answered, warm = time.monotonic(), False
     try:
-        for place in places:
-            place.give(left.popleft())
-        while busy := [place for place in places if place.handful is not None]:
+        while left or any(place.handful is not None for place in places):
+            busy = [place for place in places if place.busy]
             ready = crew.ready([place.worker for place in busy], timeout=1.0)
             now = time.monotonic()
             quiet = 0.0 if ready else now - answered
-            stand_still = still and quiet > max(STILL, SECONDS / len(busy)) * (1 if begun else 2)
+            stand_still = still and quiet > max(STILL, SECONDS / len(busy)) * (1 if warm else 2)
             if stand_still:
-                answered, begun = now, False
+                answered, warm = now, False
                 for place in busy:  # all of them before the first begins anew: what they share is free then
                     place.worker.end()
+            failed = ""
             for number, place in enumerate(places):
-                handful, trouble, innocent = place.handful, None, False
-                if handful is None:
+                if number in gone:
                     continue
-                if place.worker in ready:
+                handful, trouble, innocent = place.handful, None, True
+                if place.busy and place.worker in ready:
                     try:
                         done = place.worker.take()
                     except Died as died:
-                        trouble, innocent = ("DIED", str(died)), True
+                        trouble = "DIED", str(died)
                     else:
-                        still_born, place.worked, place.handful = 0, True, None
-                        answered, begun = time.monotonic(), True
-                        yield done
-                elif stand_still:
-                    trouble, innocent = ("TIMEOUT", f"no worker answered for {quiet:.0f} s"), True
-                elif now - place.since > SECONDS:
-                    trouble = "TIMEOUT", f"not done after {SECONDS:g} s"
-                else:
-                    continue
+                        answered, unborn = time.monotonic(), 0
+                        if place.begun:
+                            place.handful, warm = None, True
+                            yield done
+                        place.begun = True
+                elif place.busy and stand_still:
+                    trouble = "TIMEOUT", f"no worker answered for {quiet:.0f} s"
+                elif place.busy and now - place.since > SECONDS:
+                    trouble, innocent = ("TIMEOUT", f"not done after {SECONDS:g} s"), False
                 if trouble:
                     place.worker.end()
-                    if trouble[0] == "DIED" and not place.worked:
-                        still_born += 1
-                        if still_born >= STARTS and time.monotonic() - answered > PATIENCE:
-                            raise WorkError(f"{still_born} workers ended before they had done anything; the last: {trouble[1]}")
-                        time.sleep(PAUSE)
+                    gone.append(number)
+                    place.begun, place.handful = True, None
+                    if handful is None:
+                        since_unborn = since_unborn if unborn else now
+                        unborn, failed = unborn + 1, trouble[1]
+                        continue
                     troubles[handful] += 1
                     if innocent and troubles[handful] < LIVES:
                         left.append(handful)
                     else:
                         yield lost(handful, *trouble)
-                    places[number] = place = _Place(crew.start(number, make, arguments))
-                if left:
-                    place.give(left.popleft())
+                elif left and not place.busy:
+                    place.handful, place.since = left.popleft(), time.monotonic()
+                    place.worker.give(place.handful)
+            if failed and left:
+                if unborn >= STARTS and now - since_unborn > PATIENCE:
+                    raise WorkError(f"{unborn} workers ended before they had begun; the last: {failed}")
+                time.sleep(PAUSE)
+            if left:
+                for number in gone:
+                    places[number] = begin(number)
+                gone.clear()
     finally:
         for place in places:
             place.worker.end()
@@ -250,7 +266,7 @@ def in_environment(names: dict[str, str]) -> Iterator[None]:
 def wait_asleep() -> None:
     """This process sleeps while it waits for its GPU; by CUDA's default it spins, and takes the core from one that has work.
 
-    To be called before anything uses CUDA; without it nothing happens.
+    To be called before anything uses CUDA; without it, or where it refuses, nothing happens.
     """
     try:
         cuda = ctypes.CDLL("libcuda.so.1")
@@ -264,20 +280,29 @@ def _serve(pipe: Connection, make: Callable[..., Work[Any]], arguments: tuple[An
     end_with(parent)
     if on_gpu:
         wait_asleep()
-    work = make(*arguments)
-    while True:
-        try:
+    try:
+        with _a_fault_ends_it():
+            work = make(*arguments)
+        pipe.send(None)
+        while True:
             handful = pipe.recv()
-            pipe.send(work(handful))
-        except (EOFError, OSError):
-            return
-        except KeyboardInterrupt:
-            return
-        except Exception:
-            # At once: after a fault of the GPU this process would stand still on its way out, and with it the crew.
+            with _a_fault_ends_it():
+                done = work(handful)
+            pipe.send(done)
+    except (EOFError, OSError, KeyboardInterrupt):  # of the pipe: whoever gave the work is gone
+        return
+
+
+@contextmanager
+def _a_fault_ends_it() -> Iterator[None]:
+    """At once: after a fault of the GPU this process would stand still on its way out, and with it the crew."""
+    try:
+        yield
+    except Exception:
+        with suppress(Exception):
             traceback.print_exc()
             sys.stderr.flush()
-            os._exit(1)
+        os._exit(1)
 
 
 def end_with(parent: int) -> None:

@@ -55,7 +55,7 @@ def relight(
     Raises:
         SceneError, DatasetError: as `gelsim.generate.run.generate`.
     """
-    crew = crew_of(workers, device, ray)
+    crew = crew_of(workers, device, ray, per_core=1)  # who draws seldom waits
     data = load_dataset(source)
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")

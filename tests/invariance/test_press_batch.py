@@ -31,10 +31,10 @@ from gelsim.scene_file import build_scene
 # on), each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): nodes lie 6.9 µm apart then, of
 # a soft ball without friction, however small OVERLAP_MM is made. So whole surfaces are compared. Found: 1.03 µm and less.
 SAME_SURFACE = OVERLAP_MM * 1e-3
-# A press does the same in a batch of one as beside others, but for the faces of a few points: they are sought in float32, the scenes of a
-# batch standing apart, and a point on the border of two faces may get the one there and the other here (5 to 16 of a ball's points an
-# iteration). Found: 1e-12 µm with some meshes, 0.05 µm root mean square and 0.33 µm at a node with others.
-UNMOVED = 0.1e-6
+# Nearest faces are sought in float32, the scenes of a batch standing apart, and a point on the border of two faces may get the one at this
+# place and the other at that (5 to 16 of a ball's points an iteration), which is again another equilibrium: up to 0.2 µm root mean square
+# and 2.3 µm at a node on five meshes. So neighbours change, but not a press's place among them. Found: 1e-12 µm and less.
+UNMOVED = 1e-15
 
 
 def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene:
@@ -72,12 +72,17 @@ def together() -> list[Deformation]:
 
 
 def test_neighbours_do_not_matter(together: list[Deformation]) -> None:
-    for one, press in zip(SCENES, together, strict=True):
-        (single,) = pipeline.press_batch([one], device="cpu")
-        assert press.status is SolveStatus.CONVERGED and press.approach == pytest.approx(single.approach, rel=0, abs=UNMOVED)
-        apart = np.linalg.norm(press.gel.displacement - single.gel.displacement, axis=2)
-        assert np.sqrt(np.mean(apart**2, axis=1)).max() < UNMOVED and apart.max() < SAME_SURFACE
-        assert np.abs(press.force - single.force).max() < 1e-3 * np.abs(single.force).max()
+    others = [scene(45.0), scene(300.0), scene(120.0, 0.3), scene(70.0, "stick"), scene(250.0, 0.2)]
+    for kept in ((0, 2, 4), (1, 3)):
+        again = pipeline.press_batch([SCENES[i] if i in kept else others[i] for i in range(5)], device="cpu")
+        for i, (one, press) in enumerate(zip(together, again, strict=True)):
+            assert one.status is SolveStatus.CONVERGED
+            if i not in kept:  # planted: another press is seen
+                assert np.abs(press.force[-1] - one.force[-1]).max() > 0.01 * np.abs(one.force).max()
+                continue
+            assert press.approach == pytest.approx(one.approach, rel=0, abs=UNMOVED)
+            assert np.linalg.norm(one.gel.displacement - press.gel.displacement, axis=2).max() < UNMOVED
+            assert press.force == pytest.approx(one.force, rel=0, abs=1e-12 * np.abs(one.force).max())
 
 
 def test_a_batch_gives_what_presses_by_themselves_give(together: list[Deformation]) -> None:

@@ -24,7 +24,7 @@ from gelsim import generate as generating
 from gelsim import workers
 from gelsim.dataset import load_dataset
 from gelsim.errors import DatasetError, SceneError, SolveStatus
-from gelsim.generate import recording
+from gelsim.generate import recording, run
 from gelsim.generate.done import Done
 from gelsim.generate.light import relit
 from gelsim.generate.relight import relight, sensor_scene
@@ -110,16 +110,26 @@ def make_dying(*_: object):
     return work
 
 
+def first_to_make(path: Path) -> bool:
+    try:
+        path.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
+
+
 def make_faulting(folder: Path):
     """Both of the first two workers fault in the middle of their second piece, and would not end by themselves."""
-    mine = folder / str(os.getpid())
-    mine.touch()
-    faulty, done = len(list(folder.iterdir())) <= 2, []
+    number = next(number for number in range(9) if first_to_make(folder / str(number)))
+    while not (folder / "1").exists():  # or the other's first piece might be the last one left
+        time.sleep(0.01)
+    done = []
 
     def work(handful):
         done.append(handful)
-        if faulty and len(done) == 2:
+        if number < 2 and len(done) == 2:
             atexit.register(time.sleep, 1000.0)
+            (folder / f"{number} faulted").touch()
             raise RuntimeError("an illegal memory access was encountered")
         return Done(handful)
 
@@ -136,8 +146,23 @@ def make_seeing(*_: object):
     return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"], "share": os.environ[workers.MPS_SHARE]}, {})])
 
 
-def make_still_born(*_: object):
-    os._exit(7)
+def make_still_born(how: str):
+    if how == "exit":
+        os._exit(7)
+    atexit.register(time.sleep, 1000.0)
+    raise OSError("no GPU")
+
+
+def make_killed(folder: Path):
+    """Every piece ends its worker, piece 0 by an error that a pipe might have had."""
+    (folder / str(os.getpid())).touch()
+
+    def work(handful):
+        if handful == (0,):
+            raise BrokenPipeError("the work's own")
+        os._exit(9)
+
+    return work
 
 
 def make_unlucky(folder: Path, trouble: str, number: int):
@@ -170,6 +195,14 @@ def test_a_worker_that_dies_is_replaced_and_its_press_listed():
     assert all(not item.failures for handful, item in done.items() if handful != (3,))
 
 
+def test_pieces_that_all_end_their_workers_are_all_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Each costs as many workers as a piece has lives; that none ever answers is not taken for a crew that cannot begin."""
+    monkeypatch.setattr(workers, "PATIENCE", 0.0)
+    done = list(work_through([(0,), (1,)], LocalCrew(2), make_killed, (tmp_path,), lost))
+    assert sorted((item.handful, item.failures[0]["status"]) for item in done) == [((0,), "DIED"), ((1,), "DIED")]
+    assert len(list(tmp_path.iterdir())) == 2 * workers.LIVES
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_worker_has_the_threads_that_it_was_given(threads: int):
     before = dict(os.environ)
@@ -186,6 +219,25 @@ def test_gpus_are_given_in_turn_and_shared(said: str | None, share: str, monkeyp
         monkeypatch.setenv(workers.MPS_SHARE, said)
     done = [item.rows[0][0] for item in work_through([(n,) for n in range(3)], LocalCrew(3, gpus=("0", "7")), make_seeing, (), lost)]
     assert {item["sees"] for item in done} <= {"0", "7"} and {item["share"] for item in done} == {share}
+
+
+@pytest.mark.parametrize(
+    ("gpus", "per_core", "workers", "count"),
+    [([], 2, None, 16), (["0"], 2, None, 32), (["0"], 1, None, 16), (["0"], 4, None, 40), (["0", "1"], 4, None, 64), (["0"], 2, 3, 3)],
+)
+def test_how_many_work(gpus: list[str], per_core: int, workers: int | None, count: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(run.os, "cpu_count", lambda: 16)
+    monkeypatch.setattr(run, "gpus_of", lambda device: gpus)
+    crew = run.crew_of(workers, "cuda", None, per_core)
+    assert isinstance(crew, LocalCrew) and crew.count == count and crew.gpus == gpus
+
+
+@pytest.mark.parametrize("gpus", [(), ("0",)])
+def test_workers_with_a_gpu_are_told_so(gpus: tuple[str, ...], monkeypatch: pytest.MonkeyPatch):
+    told: list[bool] = []
+    monkeypatch.setattr(workers, "_Process", lambda make, arguments, environment, on_gpu: told.append(on_gpu))
+    LocalCrew(2, gpus=gpus).start(0, make_echo, ())
+    assert told == [bool(gpus)]
 
 
 @pytest.mark.parametrize(("on_gpu", "begun"), [(True, ["cuInit", "flags 4"]), (False, [])])
@@ -219,29 +271,34 @@ def test_without_cuda_nothing_is_asked_to_sleep(monkeypatch: pytest.MonkeyPatch)
     workers.wait_asleep()
 
 
-def test_workers_that_never_begin_end_the_run(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("how", ["exit", "raise"])
+def test_workers_that_never_begin_end_the_run(how: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(workers, "PATIENCE", 0.0)
-    with pytest.raises(WorkError, match="3 workers ended before they had done anything"):
-        list(work_through([(n,) for n in range(9)], LocalCrew(2), make_still_born, (), lost))
+    begun = time.monotonic()
+    with pytest.raises(WorkError, match="[34] workers ended before they had begun"):
+        list(work_through([(n,) for n in range(9)], LocalCrew(2), make_still_born, (how,), lost))
+    assert time.monotonic() - begun < 30.0
 
 
 @pytest.mark.parametrize("trouble", ["end", "stand still"])
 def test_what_workers_in_trouble_held_is_done_by_others(trouble: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Workers that share a GPU were seen to stand still all at once, and to be refused by its server for some seconds."""
+    """Workers that share a GPU were seen to stand still all at once, and to be refused by its server for some seconds: by then more of them
+    ended than two pieces have lives."""
     monkeypatch.setattr(workers, "STILL", 4.0)
     monkeypatch.setattr(workers, "SECONDS", 8.0)
+    monkeypatch.setattr(workers, "PAUSE", 0.1)
     handfuls = [(number,) for number in range(5)]
-    done = list(work_through(handfuls, LocalCrew(2), make_unlucky, (tmp_path, trouble, 4 if trouble == "end" else 2), lost, still=True))
+    number = 2 * workers.LIVES if trouble == "end" else 2
+    done = list(work_through(handfuls, LocalCrew(2), make_unlucky, (tmp_path, trouble, number), lost, still=True))
     assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
 
 
 def test_a_fault_that_ends_all_costs_no_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(workers, "SECONDS", 80.0)  # two that stand still are waited for half as long
     begun = time.monotonic()
     handfuls = [(number,) for number in range(6)]
     done = list(work_through(handfuls, LocalCrew(2), make_faulting, (tmp_path,), lost, still=True))
     assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
-    assert len(list(tmp_path.iterdir())) == 4 and time.monotonic() - begun < 30.0
+    assert len(list(tmp_path.glob("* faulted"))) == 2 and time.monotonic() - begun < 30.0 < workers.STILL  # nobody was waited for
 
 
 def test_a_piece_that_stands_still_again_and_again_is_listed(monkeypatch: pytest.MonkeyPatch):
