@@ -1,4 +1,4 @@
-"""How much of the gel's outer face touches the object: two readings whose errors have nothing to do with each other, and their mean.
+"""How much of the gel's outer face touches the object: from two readings, each with errors of its own, the second counting twice.
 
 A quadratic face that contact ends on cannot follow the true pressure and gap; which of its quadrature points are loaded is known to about
 half their distance. Area is read
@@ -8,9 +8,9 @@ half their distance. Area is read
    (Johnson 1985, §5.1 and App. 1). The area A(φ < t) of some levels t beyond the partly loaded faces is fitted by a parabola in t and read
    at t = 0. Of a round contact, whose φ grows with r, and of a long one, A is such a parabola (Steiner's formula for parallel curves).
 
-Where faces are small the second is off by half as much as the first; it counts twice (docs/mechanics.md §4). It is kept within an eighth of
-the partly loaded faces' area from the first: where they are large no parabola is. Where pressure rises toward the end, as at a sharp rim,
-the gap does not open so, and points are counted.
+The second is kept within an eighth of the partly loaded faces' area from the first: where such faces are large its levels lie far from the
+contact, where A is no parabola any more. Where pressure rises toward the end, as at a sharp rim, the gap does not open so, and points are
+counted. How far either is off on solved presses: docs/mechanics.md §4.
 
 Left out: contact that ends on a face without loaded points, beside one that has some; places of ends, as all that is
 told is one area of the body. The pressure within, which vanishes like √distance, tells the area too, but scatters more than either.
@@ -33,6 +33,10 @@ _UNIT = 2 / 3
 """Quantile over the partly loaded faces of their largest φ, the unit of its levels: contact ends a part of an edge before."""
 GAPS = np.linspace(0.7, 5.0, 16)
 """Levels of φ in that unit."""
+KNOWN = 1.0
+"""[mm] Gaps are known so far: a march looks for the object within this and more (`quasistatic.py`); beyond, they are cut off."""
+_CUT = 0.7
+"""Levels are used up to this share of what φ is where it is cut off: below, few faces have points that are."""
 _WIDEST = 5.0
 """Levels of the gap are used as far as their area is so many times that of the loaded points: far away nothing is a parabola."""
 _FARTHEST = 0.125
@@ -47,7 +51,7 @@ def touching_area(places: Array, faces: NDArray[np.int32], gap: Array, pressure:
     Args:
         places: Where the nodes (N, 3) are now.
         faces: (F, 6) of them, corners first.
-        gap: Of the faces' quadrature points (F, Q) [mm]; large where there is no object.
+        gap: Of the faces' quadrature points (F, Q) [mm]; large where there is no object within KNOWN.
         pressure: There; 0 where they do not touch.
     Returns:
         [mm²] if `places` are in mm.
@@ -80,7 +84,7 @@ def _rises(faces: NDArray[np.int32], full: NDArray[np.bool_], pressure: Array) -
 
 def _by_gap(nodes: Array, bary: Array, gap: Array, loaded: NDArray[np.bool_], counted: float) -> float | None:
     """The second reading; None where no levels lie around the contact."""
-    phi: Array = np.where(loaded, 0.0, np.cbrt(np.clip(gap, 0.0, 1.0)) ** 2)
+    phi: Array = np.where(loaded, 0.0, np.cbrt(np.clip(gap, 0.0, KNOWN)) ** 2)
     touched = np.asarray(loaded.any(axis=1))
     unit = float(np.quantile(phi[touched & ~loaded.all(axis=1)].max(axis=1), _UNIT))
     if unit <= 0.0:
@@ -90,7 +94,7 @@ def _by_gap(nodes: Array, bary: Array, gap: Array, loaded: NDArray[np.bool_], co
     smooth = phi @ np.linalg.pinv(tri6_shape(bary)).T
     smooth[touched] = phi[touched] @ np.linalg.pinv(bary).T @ _NODES.T  # pressure leaves a kink there
     areas = areas_below(nodes[near], smooth, GAPS * unit)
-    used = areas < _WIDEST * counted
+    used = (areas < _WIDEST * counted) & (GAPS * unit < _CUT * KNOWN ** (2 / 3))
     return float(np.polyval(np.polyfit(GAPS[used], areas[used], 2), 0.0)) if used.sum() >= _FEWEST else None
 
 
