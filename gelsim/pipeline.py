@@ -95,7 +95,7 @@ def press(
     if scene.target_error is not None or scene.target_membrane_um is not None:
         return _press_to_target(scene, device, progress, record, throw)
     with record.stage("import"):
-        import gelsim.fem  # noqa: F401  # Warp, so that it counts as import
+        import gelsim.fem  # noqa: F401  # counted here, not as the press
         from gelsim.reductions import choose_reduction
     reduction = choose_reduction(scene)
     symmetry = reduction.planes
@@ -131,7 +131,8 @@ def _press_solid(
         gel, body, placement = _bodies(scene, symmetry, record, draw)
         with record.stage("press"):
             found = solve_press(scene, gel, body, placement, device=device, progress=progress)
-        found.info["object_mesh_drawn"] = draw + 1
+        if draw:
+            found.warn(f"did not reach its end with the object's first mesh: solved with one drawn anew, number {draw + 1}")
         best = further(best, found)
         if best is found:
             meshes = dict(record.meshes)

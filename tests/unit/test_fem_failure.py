@@ -9,6 +9,7 @@ import pytest
 from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_body
 from planar_fixtures import press_of
 
+import gelsim.fem
 from gelsim import pipeline
 from gelsim.bench.presses import ball
 from gelsim.errors import PressEnd, SolveError, SolveStatus
@@ -19,6 +20,7 @@ from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.materials import gel_material, object_material
 from gelsim.results import Deformation
+from gelsim.scene import Scene
 from gelsim.scene_file import build_scene
 
 
@@ -371,3 +373,41 @@ def test_a_search_for_a_force_records_its_own_way() -> None:
     # each leaves up to OVERLAP_MM of overlap, in steps of another length; the force goes as the depth to the power of 1.5
     loose = 1.5 * quasistatic.OVERLAP_MM / (depth / 3)
     assert found.force == pytest.approx(again.force, rel=loose, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("ends", "draws", "kept", "meshed"),
+    [
+        (["lost far", "there"], 2, "there", [0, 1]),
+        (["there"], 2, "there", [0]),
+        (["lost far", "lost near"], 2, "lost far", [0, 1]),
+        (["lost near", "lost far"], 2, "lost far", [0, 1]),
+        (["lost far"], 1, "lost far", [0]),
+    ],
+)
+def test_a_lost_press_gets_another_mesh(
+    ends: list[str], draws: int, kept: str, meshed: list[int], deformation: Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mesh that the report tells of is that of the press that is kept; planted: the first press is lost."""
+    made = {
+        "lost near": replace(deformation, approach=deformation.approach * 0.5, info={"ended_by": PressEnd.LOST}),
+        "lost far": replace(deformation, info={"ended_by": PressEnd.LOST}),
+        "there": replace(deformation, info={"ended_by": PressEnd.DEPTH}),
+    }
+    asked: list[int] = []
+
+    def bodies(scene: Scene, symmetry: frozenset[str], record: pipeline.Record, draw: int) -> tuple[int, int, int]:
+        asked.append(draw)
+        record.meshes["object"] = {"elements": draw}
+        return 0, 0, 0
+
+    monkeypatch.setattr(pipeline, "_bodies", bodies)
+    monkeypatch.setattr(gelsim.fem, "solve_press", lambda *_, **__: made[ends[len(asked) - 1]])
+    record, scene = pipeline.Record(), build_scene({"press": {"depth_mm": 0.5, "symmetry": "mirror"}})
+    press = pipeline.press(scene, record=record, draws=draws)
+    assert press is made[kept] and asked == meshed
+    assert record.meshes["object"]["elements"] == ends.index(kept)
+    assert ("drawn anew" in str(press.info.get("warnings"))) is (ends.index(kept) > 0)
+    asked.clear()
+    pipeline.press(scene.replace(object=replace(scene.object, rigid=True)), draws=draws)
+    assert asked == [0]  # a rigid one has no tets
