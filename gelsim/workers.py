@@ -38,6 +38,9 @@ they are started anew."""
 STILL = 90.0
 """Seconds without an answer from any of many workers, after which they count as standing still; twice that before the first answer, as
 kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECONDS over their number: two slow pieces are no standstill."""
+QUIET, TIMES = 20.0, 40.0
+"""The same once it is known how long pieces take and while more are handed out: so many seconds, or so many times the mean from one answer
+to the next. On one H100 32 workers stood still every few minutes (docs/datasets.md)."""
 
 SLEEP_WHILE_WAITING = 4
 """CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
@@ -182,13 +185,18 @@ def work_through(
     gone: list[int] = []  # of places, to be filled while there is work
     unborn, since_unborn = 0, 0.0
     answered, warm = time.monotonic(), False
+    pieces, spent = 0, 0.0  # done, and seconds that they took
     try:
         while left or any(place.handful is not None for place in places):
             busy = [place for place in places if place.busy]
             ready = crew.ready([place.worker for place in busy], timeout=1.0)
             now = time.monotonic()
             quiet = 0.0 if ready else now - answered
-            stand_still = still and quiet > max(STILL, SECONDS / len(busy)) * (1 if warm else 2)
+            if warm and left and pieces >= 2 * len(places):
+                allowed = max(QUIET, TIMES * spent / pieces / len(busy))
+            else:
+                allowed = max(STILL, SECONDS / len(busy)) * (1 if warm else 2)
+            stand_still = still and quiet > allowed
             if stand_still:
                 answered, warm = now, False
                 for place in busy:  # all of them before the first begins anew: what they share is free then
@@ -207,6 +215,7 @@ def work_through(
                         answered, unborn = time.monotonic(), 0
                         if place.begun:
                             place.handful, warm = None, True
+                            pieces, spent = pieces + 1, spent + answered - place.since
                             yield done
                         place.begun = True
                 elif place.busy and stand_still:

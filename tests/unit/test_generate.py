@@ -301,6 +301,29 @@ def test_a_fault_that_ends_all_costs_no_piece(tmp_path: Path, monkeypatch: pytes
     assert len(list(tmp_path.glob("* faulted"))) == 2 and time.monotonic() - begun < 30.0 < workers.STILL  # nobody was waited for
 
 
+def make_stopping(folder: Path):
+    """Quick pieces, until the two workers of the beginning both stop for ever, at pieces 8 and 9."""
+    number = next(number for number in range(9) if first_to_make(folder / str(number)))
+
+    def work(handful):
+        if number < 2 and handful[0] in (8, 9):
+            (folder / f"{number} stopped").touch()
+            time.sleep(1000.0)
+        time.sleep(0.1)
+        return Done(handful)
+
+    return work
+
+
+def test_how_long_pieces_take_tells_a_standstill_sooner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Pieces of 0.1 s: two workers that give no answer for 40 times 0.05 s stand still; nobody waits for STILL."""
+    monkeypatch.setattr(workers, "QUIET", 2.0)
+    begun, handfuls = time.monotonic(), [(number,) for number in range(14)]
+    done = list(work_through(handfuls, LocalCrew(2), make_stopping, (tmp_path,), lost, still=True))
+    assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
+    assert len(list(tmp_path.glob("* stopped"))) == 2 and time.monotonic() - begun < 30.0 < workers.STILL
+
+
 def test_a_piece_that_stands_still_again_and_again_is_listed(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(workers, "STILL", 2.0)
     monkeypatch.setattr(workers, "SECONDS", 4.0)
