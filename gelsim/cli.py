@@ -188,7 +188,7 @@ def _parser() -> Parser:
     )
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
-    dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core, on CUDA without Ray two)")
+    dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core, two where GPUs solve presses)")
     dataset.add_argument("--ray", metavar="ADDRESS", help="instead of processes here: a Ray cluster, host:port, auto or local")
     dataset.add_argument("--resume", action="store_true", help="go on in an existing folder: episodes that are done are kept")
     dataset.add_argument(

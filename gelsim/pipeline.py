@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelsim import materials, outputs
-from gelsim.errors import SceneError, SolveError, SolveStatus
+from gelsim.errors import MeshingError, SceneError, SolveError, SolveStatus
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
 from gelsim.scene import Scene
@@ -93,7 +93,7 @@ def press(
     """
     record = record or Record()
     if scene.target_error is not None or scene.target_membrane_um is not None:
-        return _press_to_target(scene, device, progress, record, throw)
+        return _press_to_target(scene, device, progress, record, throw, draws)
     with record.stage("import"):
         import gelsim.fem  # noqa: F401  # counted here, not as the press
         from gelsim.reductions import choose_reduction
@@ -128,7 +128,13 @@ def _press_solid(
 
     best, meshes = None, {}
     for draw in range(draws):
-        gel, body, placement = _bodies(scene, symmetry, record, draw)
+        try:
+            gel, body, placement = _bodies(scene, symmetry, record, draw)
+        except (MeshingError, SceneError) as error:
+            if best is None:
+                raise
+            best.warn(f"did not reach its end with the object's first mesh, and could not be given another: {error}")
+            break
         with record.stage("press"):
             found = solve_press(scene, gel, body, placement, device=device, progress=progress)
         if draw:
@@ -178,13 +184,13 @@ def _press_profile(
     return press
 
 
-def _press_to_target(scene: Scene, device: str, progress: Progress | None, record: Record, throw: bool) -> Deformation:
+def _press_to_target(scene: Scene, device: str, progress: Progress | None, record: Record, throw: bool, draws: int) -> Deformation:
     """`press` at the cheapest fidelity whose error estimate meets the scene's target; record.choices says which and why."""
     from gelsim import fidelity
     from gelsim.reductions import choose_reduction
 
     def solve(name: str) -> Deformation:
-        return press(_at(scene, name), device=device, progress=progress, record=record, throw=throw)
+        return press(_at(scene, name), device=device, progress=progress, record=record, throw=throw, draws=draws)
 
     assert not isinstance(scene.target_error, str)
     target = fidelity.Target(scene.target_error, scene.target_membrane_um)

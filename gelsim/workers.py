@@ -6,9 +6,10 @@ SECONDS, is replaced; a process whose parent is gone ends itself. Results do not
 are.
 
 A worker that ends, or all that stand still at once, need not be their pieces' fault: of processes that share a GPU one's illegal access
-ends all, and all were seen to stand still. Their pieces are put back behind the others, and listed as lost when that was LIVES times. No
-piece is charged for a worker that never began (a GPU's server takes no new clients for some seconds after others were killed): it is
-started anew, after a pause, and only when none has begun for PATIENCE the work ends.
+ends all, and all were seen to stand still. Their pieces are put back behind the others; one that was in that LIVES - 1 times is done at the
+end, while nobody else works whom it could take along, and is listed as lost if that fails too. No piece is charged for a worker that never
+began (a GPU's server takes no new clients for some seconds after others were killed): it is started anew, after a pause. Only when nobody
+works, none has begun for PATIENCE, and every place has been tried, the work ends.
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ from gelsim.errors import GelsimError
 SECONDS = 1800.0
 """Allowed for a handful."""
 STARTS, PATIENCE, PAUSE = 3, 30.0, 1.0
-"""Workers that may end before they begin, one after the other; more of them only within so many seconds from the first, with a pause before
-they are started anew."""
+"""Workers that may end before they begin while nobody works; more of them only within so many seconds from the first, and each place with a
+pause before it is tried anew."""
 STILL = 90.0
 """Seconds without an answer from any of many workers, after which they count as standing still; twice that before the first answer, as
-kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECONDS over their number: two slow pieces are no standstill."""
+kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECONDS over their number, and once nothing is left to be handed
+out twice what the slowest piece took: slow pieces are no standstill."""
 QUIET, TIMES = 20.0, 40.0
-"""The same once it is known how long pieces take and while more are handed out: so many seconds, or so many times the mean from one answer
-to the next. On one H100 32 workers stood still every few minutes (docs/datasets.md)."""
+"""The same of at least SECONDS / STILL workers that have all begun, while more is handed out: so many seconds, or so many times the mean
+from one answer to the next, by what the last pieces took. On one H100 32 workers stood still every few minutes (docs/datasets.md)."""
 
 SLEEP_WHILE_WAITING = 4
 """CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
@@ -172,36 +174,35 @@ def work_through(
     Args:
         make: A function of a module that makes, from `arguments`, what does the work; called once in each worker.
         lost: Says what becomes of a handful (status, message) whose workers died or took too long.
-        still: Whether all are replaced when nobody answers for long (STILL); not for work whose pieces may all take as long.
+        still: Whether all are replaced when nobody answers for long (STILL, QUIET): for workers that share a GPU.
     Raises:
         WorkError: Workers end before they begin.
     """
-    left, troubles = deque(handfuls), Counter[Handful]()
-
-    def begin(number: int) -> _Place:
-        return _Place(crew.start(number, make, arguments), time.monotonic())
-
-    places = [begin(number) for number in range(min(crew.count, len(left)))]
-    gone: list[int] = []  # of places, to be filled while there is work
-    unborn, since_unborn = 0, 0.0
-    answered, warm = time.monotonic(), False
-    pieces, spent = 0, 0.0  # done, and seconds that they took
+    left, alone, troubles = deque(handfuls), deque[Handful](), Counter[Handful]()
+    places: list[_Place] = []
+    gone: dict[int, float] = {}  # places without a worker, and when the next one may be started
+    unborn, since_unborn, failed = Counter[int](), 0.0, ""  # by place, since the last answer
+    answered = time.monotonic()
+    took, slowest = deque[float](maxlen=100), 0.0  # seconds of the last pieces of this crew; of any piece
     try:
-        while left or any(place.handful is not None for place in places):
-            busy = [place for place in places if place.busy]
+        for number in range(min(crew.count, len(left))):
+            places.append(_Place(crew.start(number, make, arguments), time.monotonic()))
+        while left or alone or any(place.handful is not None for place in places):
+            now = time.monotonic()
+            for number in [number for number, when in gone.items() if when <= now and (left or alone)]:
+                del gone[number]
+                places[number] = _Place(crew.start(number, make, arguments), now)
+            busy = [place for number, place in enumerate(places) if number not in gone and place.busy]
+            if not busy:
+                time.sleep(0.1)
+                continue
             ready = crew.ready([place.worker for place in busy], timeout=1.0)
             now = time.monotonic()
             quiet = 0.0 if ready else now - answered
-            if warm and left and pieces >= 2 * len(places):
-                allowed = max(QUIET, TIMES * spent / pieces / len(busy))
-            else:
-                allowed = max(STILL, SECONDS / len(busy)) * (1 if warm else 2)
-            stand_still = still and quiet > allowed
+            stand_still = still and quiet > max(_allowed(busy, took), 0.0 if left else 2.0 * slowest)
             if stand_still:
-                answered, warm = now, False
                 for place in busy:  # all of them before the first begins anew: what they share is free then
                     place.worker.end()
-            failed = ""
             for number, place in enumerate(places):
                 if number in gone:
                     continue
@@ -212,10 +213,12 @@ def work_through(
                     except Died as died:
                         trouble = "DIED", str(died)
                     else:
-                        answered, unborn = time.monotonic(), 0
+                        answered = time.monotonic()
+                        unborn.clear()
                         if place.begun:
-                            place.handful, warm = None, True
-                            pieces, spent = pieces + 1, spent + answered - place.since
+                            took.append(answered - place.since)
+                            slowest = max(slowest, took[-1])
+                            place.handful = None
                             yield done
                         place.begun = True
                 elif place.busy and stand_still:
@@ -224,31 +227,36 @@ def work_through(
                     trouble, innocent = ("TIMEOUT", f"not done after {SECONDS:g} s"), False
                 if trouble:
                     place.worker.end()
-                    gone.append(number)
-                    place.begun, place.handful = True, None
+                    place.handful, gone[number] = None, now
                     if handful is None:
                         since_unborn = since_unborn if unborn else now
-                        unborn, failed = unborn + 1, trouble[1]
+                        unborn[number] += 1
+                        failed, gone[number] = trouble[1], now + PAUSE
                         continue
                     troubles[handful] += 1
-                    if innocent and troubles[handful] < LIVES:
-                        left.append(handful)
-                    else:
+                    if not innocent or troubles[handful] == LIVES:
                         yield lost(handful, *trouble)
-                elif left and not place.busy:
-                    place.handful, place.since = left.popleft(), time.monotonic()
+                    else:
+                        (alone if troubles[handful] == LIVES - 1 else left).append(handful)
+                elif not place.busy and (left or (alone and not any(other.handful is not None for other in places))):
+                    place.handful, place.since = (left or alone).popleft(), time.monotonic()
                     place.worker.give(place.handful)
-            if failed and left:
-                if unborn >= STARTS and now - since_unborn > PATIENCE:
-                    raise WorkError(f"{unborn} workers ended before they had begun; the last: {failed}")
-                time.sleep(PAUSE)
-            if left:
-                for number in gone:
-                    places[number] = begin(number)
-                gone.clear()
+            if stand_still or len(gone) == len(places):  # who begins anew may take as long as at first
+                answered = time.monotonic()
+                took.clear()
+            nobody = not any(place.handful is not None for place in places) and len(unborn) == len(places)
+            if (left or alone) and nobody and unborn.total() >= STARTS and now - since_unborn > PATIENCE:
+                raise WorkError(f"{unborn.total()} workers ended before they had begun; the last: {failed}")
     finally:
         for place in places:
             place.worker.end()
+
+
+def _allowed(busy: Sequence[_Place], took: Sequence[float]) -> float:
+    """Seconds without any answer that are no standstill, by what pieces took since the crew began."""
+    if len(busy) >= SECONDS / STILL and len(took) >= len(busy) and all(place.begun for place in busy):
+        return max(QUIET, TIMES * sum(took) / len(took) / len(busy))
+    return max(STILL, SECONDS / len(busy)) * (1 if took else 2)
 
 
 def settings(threads: int) -> dict[str, str]:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelsim import fem, gel_mesh, materials, meshing, shapes, sizing
+from gelsim import fem, gel_mesh, meshing, shapes, sizing
 from gelsim.scene import Body, Contact, Gel, Press, Scene
 
 REFERENCE = Path(__file__).parents[2] / "assets" / "reference"
@@ -68,8 +68,7 @@ def main(fidelity: str, case: str) -> dict[str, float]:
     body = shapes.rigid_surface(scene, planes) if rigid else meshing.mesh_object(scene, planes)
     meshed = time.perf_counter()
     place = shapes.placement(scene, body if rigid else body.surface("contact"))
-    material = None if rigid else materials.object_material(scene)
-    press = fem.solve_press(scene, gel, body, place, gel_material=materials.gel_material(scene), object_material=material, throw=False)
+    press = fem.solve_press(scene, gel, body, place)
     solved = time.perf_counter()
     whole = sum(np.prod([2.0 - (node[axis] == 0.0) for axis in (0, 1)]) for mesh in ([gel] if rigid else [gel, body])
                 for node in mesh.rest_positions)  # fmt: skip

@@ -61,6 +61,7 @@ Array = NDArray[np.float64]
 
 OVERHANG = float(contact_kernels.OVERHANG)
 FROZEN = 1e3  # the same, where points keep their faces
+LOOKED_MM = 1.0  # distance within which every search for the other surface looks at least
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
     [[[0, 0], [0.5, 0], [0, 0.5]], [[0.5, 0], [1, 0], [0.5, 0.5]], [[0, 0.5], [0.5, 0.5], [0, 1]], [[0.5, 0], [0.5, 0.5], [0, 0.5]]]

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import PressEnd, SolveError, SolveStatus
-from gelsim.fem.contact import ContactState
+from gelsim.fem.contact import LOOKED_MM, ContactState
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
@@ -50,7 +50,6 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
-GO_ON_REACH_MM = 1.0  # bounds the search for contact of a march that goes on from another's state
 CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
@@ -244,7 +243,7 @@ class _March:
         self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
         self._smallest = here.min_jacobian
         problem.solids.set_state(here.fields)
-        problem.contact.inherit(before.problem.contact, problem.solids.rest, problem.solids.positions(), GO_ON_REACH_MM)
+        problem.contact.inherit(before.problem.contact, problem.solids.rest, problem.solids.positions(), LOOKED_MM)
         start = self._state(here.approach)
         self._arrive(start, before.normal_force)
         if not (yield from self._attempt(start, here.approach)):
@@ -307,7 +306,7 @@ class _March:
         self._predict(here, new, extrapolated)
         if problem.memory is not None:
             problem.memory.begin(seconds or self._seconds(here, new))
-        reach = 1.0 + 2 * (new - here.approach) * MM
+        reach = LOOKED_MM + 2 * (new - here.approach) * MM
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)
         overlap = np.inf
@@ -415,7 +414,7 @@ class _March:
                 low = new, force
         else:
             return new, force
-        yield from self._return_to(beyond, 1.0 + 2 * (high[0] - here.approach) * MM)
+        yield from self._return_to(beyond, LOOKED_MM + 2 * (high[0] - here.approach) * MM)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
 
@@ -455,7 +454,7 @@ class _Search(_March):
             before = max(int(np.searchsorted(places, target * (1 - 1e-9))) - 1, 0)
             here = self.trail[before]
             self._previous = self.trail[before - 1] if before else None
-            yield from self._return_to(here, 1.0)
+            yield from self._return_to(here, LOOKED_MM)
             if number > 0 and not (yield from self._attempt(here, target)):
                 return False
             self.approach = target

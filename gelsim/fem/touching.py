@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.fem.contact import LOOKED_MM
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
 from gelsim.geometry import split_faces
 
@@ -33,10 +34,8 @@ _UNIT = 2 / 3
 """Quantile over the partly loaded faces of their largest φ, the unit of its levels: contact ends a part of an edge before."""
 GAPS = np.linspace(0.7, 5.0, 16)
 """Levels of φ in that unit."""
-KNOWN = 1.0
-"""[mm] Gaps are known so far: a march looks for the object within this and more (`quasistatic.py`); beyond, they are cut off."""
 _CUT = 0.7
-"""Levels are used up to this share of what φ is where it is cut off: below, few faces have points that are."""
+"""Levels are used up to this share of what φ is at LOOKED_MM, where gaps are cut off: below, few faces have points that are."""
 _WIDEST = 5.0
 """Levels of the gap are used as far as their area is so many times that of the loaded points: far away nothing is a parabola."""
 _FARTHEST = 0.125
@@ -51,7 +50,7 @@ def touching_area(places: Array, faces: NDArray[np.int32], gap: Array, pressure:
     Args:
         places: Where the nodes (N, 3) are now.
         faces: (F, 6) of them, corners first.
-        gap: Of the faces' quadrature points (F, Q) [mm]; large where there is no object within KNOWN.
+        gap: Of the faces' quadrature points (F, Q) [mm]; large where there is no object within LOOKED_MM.
         pressure: There; 0 where they do not touch.
     Returns:
         [mm²] if `places` are in mm.
@@ -84,7 +83,7 @@ def _rises(faces: NDArray[np.int32], full: NDArray[np.bool_], pressure: Array) -
 
 def _by_gap(nodes: Array, bary: Array, gap: Array, loaded: NDArray[np.bool_], counted: float) -> float | None:
     """The second reading; None where no levels lie around the contact."""
-    phi: Array = np.where(loaded, 0.0, np.cbrt(np.clip(gap, 0.0, KNOWN)) ** 2)
+    phi: Array = np.where(loaded, 0.0, np.cbrt(np.clip(gap, 0.0, LOOKED_MM)) ** 2)
     touched = np.asarray(loaded.any(axis=1))
     unit = float(np.quantile(phi[touched & ~loaded.all(axis=1)].max(axis=1), _UNIT))
     if unit <= 0.0:
@@ -94,7 +93,7 @@ def _by_gap(nodes: Array, bary: Array, gap: Array, loaded: NDArray[np.bool_], co
     smooth = phi @ np.linalg.pinv(tri6_shape(bary)).T
     smooth[touched] = phi[touched] @ np.linalg.pinv(bary).T @ _NODES.T  # pressure leaves a kink there
     areas = areas_below(nodes[near], smooth, GAPS * unit)
-    used = (areas < _WIDEST * counted) & (GAPS * unit < _CUT * KNOWN ** (2 / 3))
+    used = (areas < _WIDEST * counted) & (GAPS * unit < _CUT * LOOKED_MM ** (2 / 3))
     return float(np.polyval(np.polyfit(GAPS[used], areas[used], 2), 0.0)) if used.sum() >= _FEWEST else None
 
 

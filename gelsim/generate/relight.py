@@ -55,7 +55,7 @@ def relight(
     Raises:
         SceneError, DatasetError: as `gelsim.generate.run.generate`.
     """
-    crew = crew_of(workers, device, ray, per_core=1)  # who draws seldom waits
+    crew = crew_of(workers, device, ray, solves=False)
     data = load_dataset(source)
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
@@ -94,7 +94,7 @@ def relight(
         handfuls = [tuple(positions) for positions in of_press.values()]
         arguments = (source, sensor, name, seed, out, device)
         try:
-            for done in work_through(handfuls, crew, make_relighter, arguments, lost, still=True):
+            for done in work_through(handfuls, crew, make_relighter, arguments, lost, still=device == "cuda"):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)

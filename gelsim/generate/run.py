@@ -44,7 +44,7 @@ DEVICES = ("cpu", "cuda")
 """That solve and draw."""
 PER_CORE, PER_GPU = 2, 40
 """Processes a core that solve on GPUs, where they sleep while they wait; and at most so many a GPU, whose MPS takes 48 clients (NVIDIA's
-documentation of MPS, from Volta on; 32 were tried)."""
+documentation of MPS, from Volta on; 32 have made whole datasets, 48 a trial of 45 s)."""
 MANIFEST_SECONDS = 20.0
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
@@ -68,7 +68,7 @@ def generate(
     Args:
         plan: Name of a plan that comes along, or path of a TOML file.
         episodes: How many, counted from index 0; with `resume` it may be more than before.
-        workers: Processes; by default one per core, on CUDA two (with `ray` one).
+        workers: Processes; by default one per core, two where GPUs solve.
         ray: Address of a Ray cluster that works instead of this machine.
         device: Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers.
         light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
@@ -111,7 +111,7 @@ def generate(
 
         arguments = (plan, seed, out, todo, device, light)
         try:
-            for done in work_through(handfuls, crew, make_worker, arguments, lost, still=True):
+            for done in work_through(handfuls, crew, make_worker, arguments, lost, still=device == "cuda"):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)
@@ -197,8 +197,8 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
     return work
 
 
-def crew_of(workers: int | None, device: str, ray: str | None, per_core: int = PER_CORE) -> Crew:
-    """Who works: processes here, with GPUs `per_core` and no more than these take, or a Ray cluster. Raises SceneError."""
+def crew_of(workers: int | None, device: str, ray: str | None, solves: bool = True) -> Crew:
+    """Who works: processes here, more of them where GPUs solve presses, or a Ray cluster. Raises SceneError."""
     if workers is not None and not 1 <= workers <= 1024:
         raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
     if device not in DEVICES:
@@ -208,8 +208,12 @@ def crew_of(workers: int | None, device: str, ray: str | None, per_core: int = P
 
         return RayCrew(ray, workers, gpu=device == "cuda")
     gpus = gpus_of(device)
-    cores = os.cpu_count() or 1
-    return LocalCrew(workers or (min(per_core * cores, PER_GPU * len(gpus)) if gpus else cores), gpus=gpus)
+    count = os.cpu_count() or 1
+    if gpus:
+        from gelsim.fem import solves_on_gpu
+
+        count = min(count * (PER_CORE if solves and solves_on_gpu() else 1), PER_GPU * len(gpus))
+    return LocalCrew(workers or count, gpus=gpus)
 
 
 def gpus_of(device: str) -> list[str]:

@@ -12,7 +12,7 @@ from planar_fixtures import press_of
 import gelsim.fem
 from gelsim import pipeline
 from gelsim.bench.presses import ball
-from gelsim.errors import PressEnd, SolveError, SolveStatus
+from gelsim.errors import MeshingError, PressEnd, SolveError, SolveStatus
 from gelsim.fem import further, quasistatic  # pyright: ignore[reportPrivateUsage]
 from gelsim.fem.batch import run_batch
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
@@ -383,6 +383,7 @@ def test_a_search_for_a_force_records_its_own_way() -> None:
         (["lost far", "lost near"], 2, "lost far", [0, 1]),
         (["lost near", "lost far"], 2, "lost far", [0, 1]),
         (["lost far"], 1, "lost far", [0]),
+        (["lost far", "no mesh"], 2, "lost far", [0, 1]),
     ],
 )
 def test_a_lost_press_gets_another_mesh(
@@ -398,6 +399,8 @@ def test_a_lost_press_gets_another_mesh(
 
     def bodies(scene: Scene, symmetry: frozenset[str], record: pipeline.Record, draw: int) -> tuple[int, int, int]:
         asked.append(draw)
+        if ends[draw] == "no mesh":
+            raise MeshingError("no mesh")
         record.meshes["object"] = {"elements": draw}
         return 0, 0, 0
 
@@ -407,7 +410,31 @@ def test_a_lost_press_gets_another_mesh(
     press = pipeline.press(scene, record=record, draws=draws)
     assert press is made[kept] and asked == meshed
     assert record.meshes["object"]["elements"] == ends.index(kept)
-    assert ("drawn anew" in str(press.info.get("warnings"))) is (ends.index(kept) > 0)
+    said = str(press.info.get("warnings"))
+    assert ("drawn anew" in said) is (ends.index(kept) > 0) and ("could not be given another" in said) is ("no mesh" in ends)
     asked.clear()
     pipeline.press(scene.replace(object=replace(scene.object, rigid=True)), draws=draws)
     assert asked == [0]  # a rigid one has no tets
+
+
+class _Enough(Exception):
+    """What is asked for next is all that a test wants to know."""
+
+
+@pytest.mark.parametrize("target", [{}, {"target_error": 0.05}])
+def test_how_many_meshes_a_press_may_have_comes_through(target: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    def solid(*given: object) -> Deformation:
+        raise _Enough(given[-1])
+
+    monkeypatch.setattr(pipeline, "_press_solid", solid)
+    with pytest.raises(_Enough, match="7"):
+        pipeline.press(build_scene({"press": {"symmetry": "mirror"}} | target), draws=7)
+
+
+def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mesh_object(*_: object, drawn_before: int) -> None:
+        raise _Enough(drawn_before)
+
+    monkeypatch.setattr("gelsim.meshing.mesh_object", mesh_object)
+    with pytest.raises(_Enough, match="5"):
+        pipeline._bodies(build_scene({}), frozenset(), pipeline.Record(), 5)  # pyright: ignore[reportPrivateUsage]

@@ -153,9 +153,8 @@ def make_still_born(how: str):
     raise OSError("no GPU")
 
 
-def make_killed(folder: Path):
+def make_killed(*_: object):
     """Every piece ends its worker, piece 0 by an error that a pipe might have had."""
-    (folder / str(os.getpid())).touch()
 
     def work(handful):
         if handful == (0,):
@@ -163,19 +162,6 @@ def make_killed(folder: Path):
         os._exit(9)
 
     return work
-
-
-def make_unlucky(folder: Path, trouble: str, number: int):
-    """The first `number` workers stand still, or end, before they have done anything."""
-    (folder / str(os.getpid())).touch()
-    if len(list(folder.iterdir())) <= number:
-        time.sleep(1000.0) if trouble == "stand still" else os._exit(7)
-    return Done
-
-
-def make_slow_second():
-    """Never answers for piece 1."""
-    return lambda handful: time.sleep(1000.0) if handful == (1,) else Done(handful)
 
 
 def lost(handful, status: str, message: str) -> Done:
@@ -195,12 +181,11 @@ def test_a_worker_that_dies_is_replaced_and_its_press_listed():
     assert all(not item.failures for handful, item in done.items() if handful != (3,))
 
 
-def test_pieces_that_all_end_their_workers_are_all_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Each costs as many workers as a piece has lives; that none ever answers is not taken for a crew that cannot begin."""
+def test_pieces_that_all_end_their_workers_are_all_listed(monkeypatch: pytest.MonkeyPatch):
+    """That none ever answers is not taken for a crew that cannot begin, nor an error of the work's own for one of its pipe."""
     monkeypatch.setattr(workers, "PATIENCE", 0.0)
-    done = list(work_through([(0,), (1,)], LocalCrew(2), make_killed, (tmp_path,), lost))
+    done = list(work_through([(0,), (1,)], LocalCrew(2), make_killed, (), lost))
     assert sorted((item.handful, item.failures[0]["status"]) for item in done) == [((0,), "DIED"), ((1,), "DIED")]
-    assert len(list(tmp_path.iterdir())) == 2 * workers.LIVES
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -222,13 +207,24 @@ def test_gpus_are_given_in_turn_and_shared(said: str | None, share: str, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("gpus", "per_core", "workers", "count"),
-    [([], 2, None, 16), (["0"], 2, None, 32), (["0"], 1, None, 16), (["0"], 4, None, 40), (["0", "1"], 4, None, 64), (["0"], 2, 3, 3)],
+    ("gpus", "cores", "solves", "cudss", "workers", "count"),
+    [
+        ([], 16, True, True, None, 16),
+        (["0"], 16, True, True, None, 32),
+        (["0"], 16, False, True, None, 16),
+        (["0"], 16, True, False, None, 16),
+        (["0"], 32, True, True, None, 40),
+        (["0", "1"], 32, True, True, None, 64),
+        (["0"], 16, True, True, 3, 3),
+    ],
 )
-def test_how_many_work(gpus: list[str], per_core: int, workers: int | None, count: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(run.os, "cpu_count", lambda: 16)
+def test_how_many_work(
+    gpus: list[str], cores: int, solves: bool, cudss: bool, workers: int | None, count: int, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(run.os, "cpu_count", lambda: cores)
     monkeypatch.setattr(run, "gpus_of", lambda device: gpus)
-    crew = run.crew_of(workers, "cuda", None, per_core)
+    monkeypatch.setattr("gelsim.fem.solves_on_gpu", lambda: cudss)
+    crew = run.crew_of(workers, "cuda", None, solves)
     assert isinstance(crew, LocalCrew) and crew.count == count and crew.gpus == gpus
 
 
@@ -280,56 +276,12 @@ def test_workers_that_never_begin_end_the_run(how: str, monkeypatch: pytest.Monk
     assert time.monotonic() - begun < 30.0
 
 
-@pytest.mark.parametrize("trouble", ["end", "stand still"])
-def test_what_workers_in_trouble_held_is_done_by_others(trouble: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Workers that share a GPU were seen to stand still all at once, and to be refused by its server for some seconds: by then more of them
-    ended than two pieces have lives."""
-    monkeypatch.setattr(workers, "STILL", 4.0)
-    monkeypatch.setattr(workers, "SECONDS", 8.0)
-    monkeypatch.setattr(workers, "PAUSE", 0.1)
-    handfuls = [(number,) for number in range(5)]
-    number = 2 * workers.LIVES if trouble == "end" else 2
-    done = list(work_through(handfuls, LocalCrew(2), make_unlucky, (tmp_path, trouble, number), lost, still=True))
-    assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
-
-
 def test_a_fault_that_ends_all_costs_no_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     begun = time.monotonic()
     handfuls = [(number,) for number in range(6)]
     done = list(work_through(handfuls, LocalCrew(2), make_faulting, (tmp_path,), lost, still=True))
     assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
     assert len(list(tmp_path.glob("* faulted"))) == 2 and time.monotonic() - begun < 30.0 < workers.STILL  # nobody was waited for
-
-
-def make_stopping(folder: Path):
-    """Quick pieces, until the two workers of the beginning both stop for ever, at pieces 8 and 9."""
-    number = next(number for number in range(9) if first_to_make(folder / str(number)))
-
-    def work(handful):
-        if number < 2 and handful[0] in (8, 9):
-            (folder / f"{number} stopped").touch()
-            time.sleep(1000.0)
-        time.sleep(0.1)
-        return Done(handful)
-
-    return work
-
-
-def test_how_long_pieces_take_tells_a_standstill_sooner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Pieces of 0.1 s: two workers that give no answer for 40 times 0.05 s stand still; nobody waits for STILL."""
-    monkeypatch.setattr(workers, "QUIET", 2.0)
-    begun, handfuls = time.monotonic(), [(number,) for number in range(14)]
-    done = list(work_through(handfuls, LocalCrew(2), make_stopping, (tmp_path,), lost, still=True))
-    assert sorted(item.handful for item in done) == handfuls and not any(item.failures for item in done)
-    assert len(list(tmp_path.glob("* stopped"))) == 2 and time.monotonic() - begun < 30.0 < workers.STILL
-
-
-def test_a_piece_that_stands_still_again_and_again_is_listed(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(workers, "STILL", 2.0)
-    monkeypatch.setattr(workers, "SECONDS", 4.0)
-    done = {item.handful: item for item in work_through([(n,) for n in range(3)], LocalCrew(2), make_slow_second, (), lost, still=True)}
-    assert set(done) == {(0,), (1,), (2,)} and not done[0,].failures and not done[2,].failures
-    assert done[1,].failures[0]["status"] == "TIMEOUT"
 
 
 # ---- folders ----

@@ -161,6 +161,10 @@ def test_cache_returns_the_same_mesh_and_mends_itself(cache: Path) -> None:
     assert np.array_equal(first.rest_positions, again.rest_positions) and np.array_equal(first.tets, again.tets)
     assert all(np.array_equal(first.groups[name], again.groups[name]) for name in first.groups)
     kept = {path: path.read_bytes() for path in cache.glob("*.npz")}
+    other = mesh_object(given, frozenset(), told.append, drawn_before=1)
+    assert len(told) == 1 and len(list(cache.glob("*.npz"))) == len(kept) + 1  # filled anew, and kept beside the first
+    assert np.array_equal(mesh_object(given, drawn_before=1).rest_positions, other.rest_positions)
+    assert np.array_equal(mesh_object(given).rest_positions, first.rest_positions)
     assert not list(cache.glob("*.part"))
     assert not list(cache.rglob("*.partial"))
     for damage in (lambda raw: raw[: len(raw) // 2], lambda raw: b"", lambda raw: raw[:200] + b"\xff" * 64 + raw[264:]):

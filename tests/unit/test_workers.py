@@ -1,0 +1,272 @@
+"""Who does which piece of work when workers end, stand still or never begin: a made-up crew, and a clock that is turned by hand."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import pytest
+
+from gelsim import workers
+from gelsim.workers import Died, Handful, WorkError, work_through
+
+NEVER = float("inf")
+Ends = tuple[str, float]
+"""What becomes of something ("done", "died"), and after how many seconds."""
+
+
+@dataclass
+class Made:
+    """A worker of the made-up crew: begins, or does a piece, as `Crew.says`."""
+
+    crew: Crew
+    number: int
+    what: Handful | None = None
+    comes: Ends = ("done", 0.0)
+    ended: bool = False
+
+    def __post_init__(self) -> None:
+        self.give(None)
+
+    def give(self, handful: Handful | None) -> None:
+        self.what = handful
+        how, seconds = self.crew.says(self, handful)
+        self.comes = how, self.crew.now + seconds
+        self.crew.given.append((self.number, handful))
+
+    def take(self) -> Handful | None:
+        how, when = self.comes
+        assert when <= self.crew.now and not self.ended
+        self.comes = "done", NEVER
+        if how == "died":
+            raise Died("made up")
+        return self.what
+
+    def end(self) -> None:
+        self.ended = True
+
+
+@dataclass
+class Crew:
+    """`says(worker, handful)`: what becomes of it; handful None: of its beginning. Workers are numbered as they are started."""
+
+    count: int
+    says: Callable[[Made, Handful | None], Ends]
+    now: float = 0.0
+    started: list[Made] = field(default_factory=list)
+    given: list[tuple[int, Handful | None]] = field(default_factory=list)
+
+    def start(self, *_: object) -> Made:
+        self.started.append(Made(self, len(self.started)))
+        return self.started[-1]
+
+    def ready(self, some: Sequence[Made], timeout: float) -> list[Made]:
+        self.now = min(self.now + timeout, max(self.now, min(worker.comes[1] for worker in some)))
+        return [worker for worker in some if worker.comes[1] <= self.now]
+
+    @property
+    def at_work(self) -> list[Made]:
+        return [worker for worker in self.started if not worker.ended and worker.what is not None and worker.comes[1] > self.now]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[int], dict[int, str]]]:
+    """Works through so many pieces; those done and those lost, each with why."""
+
+    def go(crew: Crew, pieces: int, still: bool = True) -> tuple[list[int], dict[int, str]]:
+        def sleep(seconds: float) -> None:
+            crew.now += seconds
+
+        monkeypatch.setattr(workers.time, "monotonic", lambda: crew.now)
+        monkeypatch.setattr(workers.time, "sleep", sleep)
+        lost: dict[int, str] = {}
+
+        def told(handful: Handful, status: str, _: str) -> None:
+            lost[handful[0]] = status
+
+        made = work_through([(number,) for number in range(pieces)], crew, dict, (), told, still)
+        done = [item[0] for item in made if item is not None]
+        assert all(worker.ended for worker in crew.started)
+        assert sorted([*done, *lost]) == list(range(pieces))  # nothing twice, nothing forgotten
+        return done, lost
+
+    return go
+
+
+def takes(seconds: float, begins: float = 3.0, other: dict[int, Ends] | None = None) -> Callable[[Made, Handful | None], Ends]:
+    """Workers that begin, and do each piece, in so many seconds, but for some pieces."""
+    return lambda _, handful: ("done", begins) if handful is None else (other or {}).get(handful[0], ("done", seconds))
+
+
+def test_all_is_done_by_as_many_as_there_are(run: Callable) -> None:
+    crew = Crew(4, takes(2.0))
+    done, lost = run(crew, 40)
+    assert len(done) == 40 and not lost and len(crew.started) == 4 and crew.now == pytest.approx(3.0 + 40 / 4 * 2.0)
+
+
+def test_a_piece_that_ends_its_worker_is_listed_after_as_many_as_it_has_lives(run: Callable) -> None:
+    crew = Crew(3, takes(2.0, other={5: ("died", 1.0)}))
+    done, lost = run(crew, 12)
+    assert lost == {5: "DIED"} and len(done) == 11
+    assert [handful for _, handful in crew.given].count((5,)) == workers.LIVES and len(crew.started) == 3 + workers.LIVES - 1
+
+
+def test_a_piece_that_ends_everybody_is_alone_at_last(run: Callable) -> None:
+    """As under MPS, where an illegal access of one ends all: piece 5 does so, and no other may be lost with it."""
+
+    def says(worker: Made, handful: Handful | None) -> Ends:
+        if handful == (5,):
+            for other in worker.crew.at_work:
+                other.comes = "died", worker.crew.now + 1.0
+            return "died", 1.0
+        return "done", 3.0
+
+    for count in (1, 2, 8, 32):
+        done, lost = run(Crew(count, says), 60)
+        assert lost == {5: "DIED"} and len(done) == 59
+
+
+def test_workers_that_never_begin_end_the_work_and_charge_no_piece(run: Callable) -> None:
+    with pytest.raises(WorkError, match="workers ended before they had begun; the last: made up"):
+        run(crew := Crew(4, lambda _, handful: ("died", 0.5)), 9)
+    assert workers.PATIENCE < crew.now < 2 * workers.PATIENCE and all(worker.ended for worker in crew.started)
+    # refused for less than that, it goes on
+    crew = Crew(4, lambda worker, handful: ("died", 0.5) if handful is None and worker.crew.now < 20.0 else ("done", 1.0))
+    done, lost = run(crew, 9)
+    assert len(done) == 9 and not lost and crew.now < 30.0
+    assert len(crew.started) < 4 * 20.0 / (0.5 + workers.PAUSE) + 4  # with a pause between
+
+
+def test_a_place_where_none_begins_does_not_end_the_others_work(run: Callable) -> None:
+    """One GPU of several is broken; pieces of the others take longer than PATIENCE."""
+    crew = Crew(4, lambda worker, handful: ("died", 0.5) if handful is None and worker.number > 2 else ("done", 100.0))
+    done, lost = run(crew, 9)
+    assert len(done) == 9 and not lost and crew.now < 420.0
+    # nor while the others have not begun yet
+    crew = Crew(2, lambda worker, handful: ("died", 0.5) if handful is None and worker.number > 0 else ("done", 100.0))
+    assert not run(crew, 3)[1]
+
+
+def stops(worker: Made, at: float, until: float) -> Ends:
+    """All stand still between these times."""
+    now = worker.crew.now
+    return ("done", NEVER) if at <= now < until else ("done", 8.0)
+
+
+@pytest.mark.parametrize(("still", "seconds", "gives_up"), [(True, 21.0, False), (False, NEVER, True)])
+def test_many_that_stand_still_are_replaced(still: bool, seconds: float, gives_up: bool, run: Callable) -> None:
+    """32 workers, pieces of 8 s, all stop between 200 and 208 s: the first is missed at 208 s, and QUIET later all begin anew."""
+
+    def says(worker: Made, handful: Handful | None) -> Ends:
+        return ("done", 3.0) if handful is None else stops(worker, 200.0, 208.0)
+
+    crew = Crew(32, says)
+    done, lost = run(crew, 2000, still)
+    assert set(lost.values()) == ({"TIMEOUT"} if gives_up else set()) and len(lost) == 32 * gives_up
+    free = 2000 / 32 * 8.0 + 3.0  # without
+    if still:
+        assert len(crew.started) == 64 and crew.now < free + 8.0 + seconds + 2 * 3.0 + 8.0
+
+
+def test_a_standstill_at_the_end_leaves_who_has_nothing_to_do(run: Callable) -> None:
+    """49 pieces for 32: 17 stand still in the second round, and are begun anew once."""
+    crew = Crew(32, lambda worker, handful: ("done", 3.0) if handful is None else stops(worker, 10.0, 15.0))
+    done, lost = run(crew, 49)
+    assert not lost and len(crew.started) == 32 + 17
+
+
+def test_all_that_stand_still_before_the_first_answer_are_waited_for_longer(run: Callable) -> None:
+    """Kernels are compiled then: 100 s are no standstill, 200 s are."""
+    for seconds, begun in ((100.0, 32), (200.0, 64)):
+
+        def says(worker: Made, handful: Handful | None, seconds: float = seconds) -> Ends:
+            return ("done", 3.0) if handful is None else ("done", seconds if worker.number < 32 and worker.crew.now < 50.0 else 8.0)
+
+        crew = Crew(32, says)
+        done, lost = run(crew, 200)
+        assert not lost and len(crew.started) == begun
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 8, 32])
+def test_slow_pieces_are_no_standstill(count: int, run: Callable) -> None:
+    """Seconds as of a dataset's presses (docs/datasets.md): most 3, one in 200 up to 823; none may be lost or done anew for them."""
+    seconds = random.Random(count)
+    known = {n: (seconds.uniform(120.0, 823.0) if seconds.random() < 0.005 else seconds.lognormvariate(1.1, 0.7)) for n in range(3000)}
+    crew = Crew(count, lambda _, handful: ("done", 3.0 if handful is None else known[handful[0]]))
+    done, lost = run(crew, 3000)
+    assert not lost and len(crew.started) == count
+
+
+def test_pieces_that_become_slower_are_taken_for_a_standstill_once(run: Callable) -> None:
+    crew = Crew(32, takes(6.0, other={n: ("done", 50.0 + n % 20) for n in range(2000, 2300)}))
+    done, lost = run(crew, 2300)
+    assert not lost and len(crew.started) == 64
+
+
+@pytest.mark.parametrize("survivors", [0, 1])
+def test_a_crew_that_ended_may_take_long_to_begin_again(survivors: int, run: Callable) -> None:
+    """A beginning of 150 s (of 80 s, where one works on for as long) is no standstill either."""
+    begins = 80.0 if survivors else 150.0
+
+    def says(worker: Made, handful: Handful | None) -> Ends:
+        fresh, late = worker.number >= 32, worker.crew.now >= 100.0
+        if handful is None:
+            return "done", begins if fresh else 3.0
+        if fresh or not late:
+            return "done", 8.0
+        return ("done", begins) if worker.number < survivors else ("died", 1.0)
+
+    crew = Crew(32, says)
+    done, lost = run(crew, 1000)
+    assert not lost and len(crew.started) == 64 - survivors
+
+
+def test_a_second_standstill_waits_for_kernels_too(run: Callable) -> None:
+    """After the first one the new crew's first pieces take 150 s."""
+
+    def says(worker: Made, handful: Handful | None) -> Ends:
+        if handful is None:
+            return "done", 3.0
+        return stops(worker, 200.0, 208.0) if worker.number < 32 else ("done", 150.0 if worker.crew.now < 300.0 else 8.0)
+
+    crew = Crew(32, says)
+    done, lost = run(crew, 2000)
+    assert not lost and len(crew.started) == 64
+
+
+def test_a_piece_may_take_so_long_and_no_longer(run: Callable) -> None:
+    crew = Crew(3, takes(2.0, other={1: ("done", NEVER), 2: ("done", workers.SECONDS - 1.0)}))
+    done, lost = run(crew, 6, still=False)
+    assert lost == {1: "TIMEOUT"} and len(done) == 5 and [handful for _, handful in crew.given].count((1,)) == 1
+
+
+def test_whatever_happens_nothing_is_lost_or_done_twice(run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers that end by lot; `run` counts."""
+    monkeypatch.setattr(workers, "PATIENCE", 1e4)  # one worker alone may well not begin three times
+    for seed in range(40):
+        lot = random.Random(seed)
+
+        def says(_: Made, handful: Handful | None, lot: random.Random = lot) -> Ends:
+            return ("died" if lot.random() < 0.15 else "done"), lot.uniform(0.1, 30.0)
+
+        run(Crew(lot.randint(1, 8), says), lot.randint(1, 60), still=bool(seed % 2))
+
+
+def test_who_stops_reading_ends_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    crew = Crew(3, takes(2.0))
+    monkeypatch.setattr(workers.time, "monotonic", lambda: crew.now)
+    made = work_through([(n,) for n in range(9)], crew, dict, (), lambda *_: None)
+    next(made)
+    made.close()
+    assert len(crew.started) == 3 and all(worker.ended for worker in crew.started)
+
+
+def test_a_start_that_fails_ends_those_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    crew = Crew(3, takes(2.0))
+    monkeypatch.setattr(workers.time, "monotonic", lambda: crew.now)
+    start = crew.start
+    monkeypatch.setattr(crew, "start", lambda *_: start() if len(crew.started) < 2 else 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        list(work_through([(n,) for n in range(9)], crew, dict, (), lambda *_: None))
+    assert len(crew.started) == 2 and all(worker.ended for worker in crew.started)
