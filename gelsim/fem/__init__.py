@@ -76,10 +76,11 @@ def solve_press(
 
     Other tries go on from where the one before it stands, not for long each: with contact's points on the other surface, where friction
     holds a soft object or a smooth one may slide (a ring, a block with waves and one that slides begin with their own); then with twice the
-    contact points, volume held at points too, and what sticks sliding at friction `STICK`. Where that does not get there, such a try begins
-    at rest; where both surfaces' points may do so, each of them goes on from the other once more in between. The last try, where friction was
-    less, has `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points
-    keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    contact points, volume held at points too, and what sticks sliding at friction `STICK`. Where that does not get there, such a try
+    begins at rest; where both surfaces' points may do so, each of them goes on from the other once more in between. The last try, where
+    friction was less, has `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost
+    time and change little. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer
+    (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.

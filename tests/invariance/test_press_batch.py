@@ -31,10 +31,10 @@ from gelsim.scene_file import build_scene
 # on), each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): nodes lie 6.9 µm apart then, of
 # a soft ball without friction, however small OVERLAP_MM is made. So whole surfaces are compared. Found: 1.03 µm and less.
 SAME_SURFACE = OVERLAP_MM * 1e-3
-# Each press of a batch stands elsewhere when nearest faces are sought, in float32: a point on the border of two faces may get another of them
-# when the same press is the first of a batch, or the third (5 to 16 of a ball's points an iteration), and other faces have another
-# equilibrium, up to 0.2 µm root mean square and 2.3 µm at a node away on five meshes. So here each press keeps its number in the batch while
-# its neighbours change. Found: 1e-12 µm and less.
+# Each press of a batch stands elsewhere when nearest faces are sought, in float32: a point on the border of two faces may get another of
+# them when the same press is the first of a batch, or the third (5 to 16 of a ball's points an iteration), and other faces have another
+# equilibrium, up to 0.2 µm root mean square and 2.3 µm at a node away on five meshes. So here each press keeps its number in the batch
+# while its neighbours change. Found: 1e-12 µm and less.
 UNMOVED = 1e-15
 
 
