@@ -102,6 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     debug = "--debug" in arguments
     wants_json = "--json" in arguments
     with _clean_stdout(wants_json) as answer:
+        options = argparse.Namespace()
         try:
             options = _parser().parse_all(arguments)
             options.typed = shlex.join(["gelsim", *arguments])
@@ -115,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
         except GelsimError as error:
             return _fail(error, BAD_INPUT, debug, answer if wants_json else None)
         except KeyboardInterrupt:
-            print("gelsim: interrupted", file=sys.stderr)
+            print("gelsim: interrupted" + ("; what is done is kept: --resume goes on" if "resume" in options else ""), file=sys.stderr)
             return INTERRUPTED
         except BrokenPipeError:
             # Whoever read the output has seen enough; Python would complain once more when it flushes at its end.

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelsim import materials, outputs
-from gelsim.errors import MeshingError, SceneError, SolveError, SolveStatus
+from gelsim.errors import MeshingError, PressEnd, SceneError, SolveError, SolveStatus
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
-from gelsim.scene import Scene
+from gelsim.scene import Press, Scene
 from gelsim.scene_file import load_scene, scene_table
 from gelsim.units import MM
 
@@ -42,6 +42,9 @@ VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pyt
 DRAWS = 2
 """Meshes that a press may have: fTetWild draws them by lot, and a body that buckles or is crushed may find no way on one and find one on
 another (docs/validation.md, *Random scenes*)."""
+
+VISIBLE_OVERLAP_MM = 0.05
+"""Overlap of the bodies that is warned of: the bound of the stability suite (docs/validation.md)."""
 
 MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity", "target_error", "target_membrane_um")
 """Parts of a scene that decide its press; `resume` needs them unchanged."""
@@ -423,10 +426,22 @@ def summary(report: dict[str, Any]) -> str:
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in report["seconds"].items() if name != "total" and value >= 0.05)
     lines = [
         f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N "
-        f"on {final['contact_area_mm2']:.1f} mm²",
+        f"on {final['contact_area_mm2']:.1f} mm²{_why_ended(report)}",
         f"{report['seconds']['total']:.1f} s ({seconds})",
     ]
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
+
+
+def _why_ended(report: dict[str, Any]) -> str:
+    """Of a press that has two ends, which came first."""
+    force, depth = (report["scene"]["press"][name] for name in ("force_n", "depth_mm"))
+    if "none" in (force, depth) or report["choices"].get("ended_by") not in (PressEnd.FORCE, PressEnd.DEPTH):
+        return ""
+    by_depth = report["choices"]["ended_by"] == PressEnd.DEPTH
+    if (force == Press().force_n) if by_depth else (depth == Press().depth_mm):
+        return ""  # nobody asked for the other
+    first, other = (f"depth_mm = {depth:g}", f"force_n = {force:g}")[:: 1 if by_depth else -1]
+    return f' ({first} came before {other}; "none" takes one away)'
 
 
 def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, ModuleType]:
@@ -487,6 +502,13 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
     estimate = info.pop("error_estimate", None)
     if not deformation.converged.all():
         noted.append(f"{int((~deformation.converged).sum())} of {len(deformation.converged)} states did not converge")
+    overlap = float(deformation.penetration.max()) * 1e3
+    if overlap > VISIBLE_OVERLAP_MM:
+        finer = {"fast": "balanced", "balanced": "reference"}.get(scene.fidelity)
+        noted.append(
+            f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"
+            + (f": a sharp or crushed edge; --fidelity {finer} shows how much" if finer else "")
+        )
     report = {
         "out": str(out),
         "status": deformation.status.value,
@@ -497,7 +519,7 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
             "force_n": deformation.force[-1],
             "contact_area_mm2": deformation.contact_area[-1] * 1e6,
             "min_jacobian": deformation.min_jacobian.min(),
-            "penetration_mm": deformation.penetration.max() * 1e3,
+            "penetration_mm": overlap,
         },
         "seconds": record.seconds | {"total": round(time.perf_counter() - start, 3)},
         "meshes": record.meshes,

@@ -49,11 +49,14 @@ def load_scene(path: str | Path) -> Scene:
 def build_scene(*layers: Layer) -> Scene:
     """A scene from layers, the last beats; the preset that they name lies below them all.
 
+    Paths in them are taken from the working folder and made absolute: the scene is the same when it is read elsewhere.
+
     Raises:
         SceneError: As for `load_scene`.
     """
     for layer in layers:
         _check_layer(layer)
+    layers = tuple(anchored(layer, Path.cwd()) for layer in layers)
     preset = Sensor().preset
     for layer in layers:
         preset = layer.get("sensor", {}).get("preset", preset)

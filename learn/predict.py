@@ -138,7 +138,9 @@ def _listed(video: Path, *options: Any) -> Iterator[tuple[str, Callable[[], Sour
 def _note(mean: float, distance: float | None, untold: bool) -> str:
     notes = []
     if distance is not None:
-        notes.append(f"unlike anything it was trained on ({distance:.1f} times the distance of its validation presses): do not trust this")
+        notes.append(
+            f"unlike anything it was trained on ({distance:.2g} times as far off as 99 % of its validation presses): do not trust this"
+        )
     if mean > HARDEST:
         notes.append(f"harder than any silicone it was trained on ({HARDEST:g})")
     if untold:

@@ -3,10 +3,13 @@ is behind them."""
 
 from __future__ import annotations
 
+import os
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,11 +59,23 @@ gel's points on each of its smaller faces warp these, and their tangent sees its
 *Presses that stumble*)."""
 
 
+@cache
 def quiet_warp() -> None:
-    """Keeps Warp's greeting and its compiler's progress off the terminal; before anything of it is used."""
+    """Keeps Warp's greeting, its compiler's progress, and that there is no GPU, off the terminal; before anything of it is used."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as said:  # its library writes that line to the standard error itself
+        os.dup2(said.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            said.seek(0)
+            os.write(2, b"".join(line for line in said if b"Could not find or load the NVIDIA CUDA driver" not in line))
 
 
 def solve_press(

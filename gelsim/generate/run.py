@@ -143,7 +143,9 @@ def summary(report: dict[str, Any]) -> str:
     splits = ", ".join(f"{name} {count}" for name, count in report["splits"].items() if count)
     lines = [
         f"{report['out']}: {report['episodes']} of {report['asked']} episodes ({splits})",
-        f"{report['seconds']:.0f} s with {report['workers']} workers, {report['episodes_per_hour']:.0f} episodes/h",
+        f"{report['seconds']:.0f} s with {report['workers']} workers, {report['episodes_per_hour']:.0f} episodes/h"
+        if report["episodes_per_hour"]
+        else "nothing was left to be done",
     ]
     if early := report["presses_ended_early"]:
         lines.append(

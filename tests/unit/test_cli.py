@@ -102,7 +102,7 @@ BAD = {
     "out below a file": (["--out", "file.txt/deep"], "cannot be written to"),
     "out is full": (["--out", "full"], "not empty; give --force"),
     "open mesh": (["--shape", "mesh", "--mesh", "open.stl"], "open.stl"),
-    "depth of a file": (["--shape", "mesh", "--mesh", "cube.stl", "--depth-mm", "10"], "'cube.stl', 10 mm"),
+    "depth of a file": (["--shape", "mesh", "--mesh", "cube.stl", "--depth-mm", "10"], "cube.stl', 10 mm"),
     "metres": (["--shape", "mesh", "--mesh", "metres.stl"], "read in mm"),
 }
 

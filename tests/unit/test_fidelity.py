@@ -14,7 +14,7 @@ from gelsim.fidelity import Target, press_to_target
 from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.results import Deformation
 from gelsim.scene import Body, Contact, Gel, Press, Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene_file import build_scene, scene_table
 
 
 @pytest.fixture
@@ -133,3 +133,19 @@ def test_a_press_meets_its_target() -> None:
     true = abs(-press.force[-1, 2] / 0.81197 - 1)
     assert true <= estimate + 1e-3 and estimate <= 0.02
     assert np.isclose(press.approach[-1], 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("press", "by", "said"),
+    [
+        ({"force_n": 3.0}, "depth_mm", "depth_mm = 1 came before force_n = 3"),
+        ({"depth_mm": 2.0, "force_n": 0.5}, "force_n", "force_n = 0.5 came before depth_mm = 2"),
+        ({}, "depth_mm", ""),
+        ({"force_n": 0.5}, "force_n", ""),
+        ({"force_n": 3.0, "depth_mm": "none"}, "force_n", ""),
+    ],
+)
+def test_which_end_came_first_is_told_where_both_were_asked_for(press: dict[str, object], by: str, said: str) -> None:
+    report = {"scene": scene_table(build_scene({"press": press})), "choices": {"ended_by": by}}
+    told = pipeline._why_ended(report)  # pyright: ignore[reportPrivateUsage]
+    assert said in told and bool(said) is bool(told)

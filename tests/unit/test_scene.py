@@ -86,6 +86,19 @@ def test_preset_fills_and_file_overrides(tmp_path: Path) -> None:
     assert (gel.thickness_mm, gel.shore_00) == (3.5, 25.0)
 
 
+def test_a_scene_of_relative_paths_is_the_same_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of flags: what a result keeps as its scene.toml is read from the result's folder, or from anywhere."""
+    (tmp_path / "mine.toml").write_text("[gel]\nthickness_mm = 3.0\n")
+    monkeypatch.chdir(tmp_path)
+    made = build_scene({"sensor": {"preset": "mine.toml"}, "object": {"shape": "mesh", "mesh": "part.stl"}})
+    assert made.gel.thickness_mm == 3.0
+    (tmp_path / "result").mkdir()
+    (tmp_path / "result" / "scene.toml").write_text(dump_scene(made))
+    monkeypatch.chdir(tmp_path / "result")
+    assert load_scene("scene.toml") == made
+    assert build_scene({"sensor": {"preset": "taxim"}}).sensor.preset == "taxim"  # a name is no path
+
+
 def test_mesh_path_is_relative_to_the_scene_file(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text('[object]\nshape = "mesh"\nmesh = "part.stl"\n', encoding="utf-8")
     assert load_scene(tmp_path / "scene.toml").object.mesh == str((tmp_path / "part.stl").resolve())
