@@ -149,16 +149,18 @@ class _Process:
 
 @dataclass
 class _Place:
-    """One of a crew's, and what it is at: to begin, a handful, or nothing."""
+    """One of a crew's, and what its worker is at: to begin, a handful, or nothing."""
 
     worker: Worker
     since: float
     begun: bool = False
     handful: Handful | None = None
+    again: float | None = None
+    """When another worker may be started here; None while there is one."""
 
     @property
     def busy(self) -> bool:
-        return self.handful is not None or not self.begun
+        return self.again is None and (self.handful is not None or not self.begun)
 
 
 def work_through(
@@ -180,7 +182,6 @@ def work_through(
     """
     left, alone, troubles = deque(handfuls), deque[Handful](), Counter[Handful]()
     places: list[_Place] = []
-    gone: dict[int, float] = {}  # places without a worker, and when the next one may be started
     unborn, since_unborn, failed = Counter[int](), 0.0, ""  # by place, since the last answer
     answered = time.monotonic()
     took, slowest = deque[float](maxlen=100), 0.0  # seconds of the last pieces of this crew; of any piece
@@ -189,10 +190,10 @@ def work_through(
             places.append(_Place(crew.start(number, make, arguments), time.monotonic()))
         while left or alone or any(place.handful is not None for place in places):
             now = time.monotonic()
-            for number in [number for number, when in gone.items() if when <= now and (left or alone)]:
-                del gone[number]
-                places[number] = _Place(crew.start(number, make, arguments), now)
-            busy = [place for number, place in enumerate(places) if number not in gone and place.busy]
+            for number, place in enumerate(places):
+                if place.again is not None and place.again <= now and (left or alone):
+                    places[number] = _Place(crew.start(number, make, arguments), now)
+            busy = [place for place in places if place.busy]
             if not busy:
                 time.sleep(0.1)
                 continue
@@ -204,8 +205,6 @@ def work_through(
                 for place in busy:  # all of them before the first begins anew: what they share is free then
                     place.worker.end()
             for number, place in enumerate(places):
-                if number in gone:
-                    continue
                 handful, trouble, innocent = place.handful, None, True
                 if place.busy and place.worker in ready:
                     try:
@@ -227,21 +226,23 @@ def work_through(
                     trouble, innocent = ("TIMEOUT", f"not done after {SECONDS:g} s"), False
                 if trouble:
                     place.worker.end()
-                    place.handful, gone[number] = None, now
+                    place.handful, place.again = None, now
                     if handful is None:
                         since_unborn = since_unborn if unborn else now
                         unborn[number] += 1
-                        failed, gone[number] = trouble[1], now + PAUSE
+                        failed, place.again = trouble[1], now + PAUSE
                         continue
                     troubles[handful] += 1
                     if not innocent or troubles[handful] == LIVES:
                         yield lost(handful, *trouble)
                     else:
                         (alone if troubles[handful] == LIVES - 1 else left).append(handful)
-                elif not place.busy and (left or (alone and not any(other.handful is not None for other in places))):
+                elif (
+                    place.again is None and not place.busy and (left or (alone and not any(other.handful is not None for other in places)))
+                ):
                     place.handful, place.since = (left or alone).popleft(), time.monotonic()
                     place.worker.give(place.handful)
-            if stand_still or len(gone) == len(places):  # who begins anew may take as long as at first
+            if stand_still or all(place.again is not None for place in places):  # who begins anew may take as long as at first
                 answered = time.monotonic()
                 took.clear()
             nobody = not any(place.handful is not None for place in places) and len(unborn) == len(places)
