@@ -116,7 +116,8 @@ def main(arguments: list[str] | None = None) -> int:
         except GelsimError as error:
             return _fail(error, BAD_INPUT, debug, answer if wants_json else None)
         except KeyboardInterrupt:
-            print("gelsim: interrupted" + ("; what is done is kept: --resume goes on" if "resume" in options else ""), file=sys.stderr)
+            kept = "resume" in options and Path(options.out).exists()
+            print("gelsim: interrupted" + ("; what is done is kept: --resume goes on" if kept else ""), file=sys.stderr)
             return INTERRUPTED
         except BrokenPipeError:
             # Whoever read the output has seen enough; Python would complain once more when it flushes at its end.

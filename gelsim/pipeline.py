@@ -43,8 +43,9 @@ DRAWS = 2
 """Meshes that a press may have: fTetWild draws them by lot, and a body that buckles or is crushed may find no way on one and find one on
 another (docs/validation.md, *Random scenes*)."""
 
-VISIBLE_OVERLAP_MM = 0.05
-"""Overlap of the bodies that is warned of: the bound of the stability suite (docs/validation.md)."""
+MOST_OVERLAP_UM = 50.0
+"""Overlap of the bodies that is warned of, and that the stability suite allows: at `fast` a tenth of the finest edge is 25 µm, and a sharp
+rigid rim cuts in."""
 
 MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity", "target_error", "target_membrane_um")
 """Parts of a scene that decide its press; `resume` needs them unchanged."""
@@ -113,7 +114,7 @@ def press(
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
     report = (lambda done, total: progress("press", done, total)) if progress else None
     if reduction.planar:
-        return _press_profile(scene, reduction, gel_material, object_material, record, report, throw)
+        return _press_profile(scene, reduction, record, report, throw)
     return _press_solid(scene, symmetry, device, record, report, throw, 1 if scene.object.rigid else draws)
 
 
@@ -155,13 +156,7 @@ def _press_solid(
 
 
 def _press_profile(
-    scene: Scene,
-    reduction: Reduction,
-    gel_material: materials.ElasticMaterial,
-    object_material: materials.ElasticMaterial | None,
-    record: Record,
-    progress: Callable[[int, int], None] | None,
-    throw: bool,
+    scene: Scene, reduction: Reduction, record: Record, progress: Callable[[int, int], None] | None, throw: bool
 ) -> Deformation:
     """The press as a profile."""
     from gelsim import profiles
@@ -175,8 +170,6 @@ def _press_profile(
             scene,
             gel,
             body,
-            gel_material=gel_material,
-            object_material=object_material,
             depth_mm=None if reduction.kind == "axisymmetric" else scene.gel.size_mm[1],
             progress=progress,
             throw=throw,
@@ -433,15 +426,12 @@ def summary(report: dict[str, Any]) -> str:
 
 
 def _why_ended(report: dict[str, Any]) -> str:
-    """Of a press that has two ends, which came first."""
-    force, depth = (report["scene"]["press"][name] for name in ("force_n", "depth_mm"))
-    if "none" in (force, depth) or report["choices"].get("ended_by") not in (PressEnd.FORCE, PressEnd.DEPTH):
+    """Of a press that has two ends, which came first; nothing where nobody asked for the other."""
+    press, first = report["scene"]["press"], report["choices"].get("ended_by")
+    other = {PressEnd.DEPTH: "force_n", PressEnd.FORCE: "depth_mm"}.get(first)
+    if other is None or press[other] in ("none", getattr(Press(), other)):
         return ""
-    by_depth = report["choices"]["ended_by"] == PressEnd.DEPTH
-    if (force == Press().force_n) if by_depth else (depth == Press().depth_mm):
-        return ""  # nobody asked for the other
-    first, other = (f"depth_mm = {depth:g}", f"force_n = {force:g}")[:: 1 if by_depth else -1]
-    return f' ({first} came before {other}; "none" takes one away)'
+    return f' ({first} = {press[first]:g} came before {other} = {press[other]:g}; "none" takes one away)'
 
 
 def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, ModuleType]:
@@ -503,7 +493,7 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
     if not deformation.converged.all():
         noted.append(f"{int((~deformation.converged).sum())} of {len(deformation.converged)} states did not converge")
     overlap = float(deformation.penetration.max()) * 1e3
-    if overlap > VISIBLE_OVERLAP_MM:
+    if overlap * 1e3 > MOST_OVERLAP_UM:
         finer = {"fast": "balanced", "balanced": "reference"}.get(scene.fidelity)
         noted.append(
             f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"

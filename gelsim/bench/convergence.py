@@ -35,7 +35,6 @@ def _case(name: str, layer: Layer, finer: float) -> Case:
 
 
 def _measure(name: str, layer: Layer, finer: float) -> Row:
-    from gelsim import materials
     from gelsim.fem import solve_planar
     from gelsim.profiles import mesh_profiles
 
@@ -43,8 +42,7 @@ def _measure(name: str, layer: Layer, finer: float) -> Row:
     scene = scene.replace(press=replace(scene.press, frames=6))
     start = time.perf_counter()
     gel, body = mesh_profiles(scene, finer=finer, gel_end=_DISC_MM * 1e-3)
-    press = solve_planar(scene, gel, body, gel_material=materials.gel_material(scene),
-                         object_material=materials.object_materials(scene).get("body"), depth_mm=None, throw=False)  # fmt: skip
+    press = solve_planar(scene, gel, body, depth_mm=None, throw=False)
     place = np.hypot(press.gel.rest[:, 0], press.gel.rest[:, 1]) * 1e3
     order = np.argsort(place)
     profile = np.interp(_PLACES, place[order], press.gel.displacement[-1, order, 2] * 1e6)

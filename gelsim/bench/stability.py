@@ -19,6 +19,7 @@ from gelsim.errors import PressEnd, SolveStatus
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import TET_EDGES, TetMesh, jacobian_determinants, outer_faces, tet_quality, tet_volumes
+from gelsim.pipeline import MOST_OVERLAP_UM
 from gelsim.scene_file import build_scene
 
 _SOLIDS: Layer = {"frames": 6, "symmetry": "mirror"}
@@ -92,8 +93,6 @@ def _all_cases() -> Iterator[Case]:
 
 
 LEAST_JACOBIAN = 0.05
-MOST_OVERLAP_UM = 50.0
-"""At `fast`; a tenth of the finest edge there is 25 µm, and a sharp rigid rim cuts in."""
 MOST_DRIFT_PERCENT = 3.0
 """Five steps: friction's loss is of second order in the step, up to 0.8 % at three steps in tests/invariance/test_press_balance.py."""
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
 from gelsim.geometry import PlanarMesh, QuadraticSurface, TetMesh
-from gelsim.materials import ElasticMaterial
 from gelsim.results import Deformation, PressSensitivity
 from gelsim.scene import Body, Scene
 
@@ -332,8 +331,6 @@ def solve_planar(
     gel: PlanarMesh,
     body: PlanarMesh,
     *,
-    gel_material: ElasticMaterial,
-    object_material: ElasticMaterial | None,
     depth_mm: float | None,
     progress: Callable[[int, int], None] | None = None,
     throw: bool = True,
@@ -344,11 +341,12 @@ def solve_planar(
         gel, body: Profiles as they just touch; a rigid body's has edges only.
         depth_mm: Length along y in plane strain; None for bodies of revolution.
     Raises:
-        SolveError: As `solve_press`.
+        gelsim.errors.SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
     quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
     from gelsim.fem.quasistatic import run_press
+    from gelsim.materials import gel_material, object_materials
 
-    problem = PlanarProblem(scene, gel, body, gel_material, object_material, depth_mm)
+    problem = PlanarProblem(scene, gel, body, gel_material(scene), object_materials(scene).get("body"), depth_mm)
     return run_press(problem, progress=progress, throw=throw)
