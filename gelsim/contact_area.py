@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from gelsim.geometry import QuadraticSurface
 from gelsim.scene import Scene
@@ -20,6 +21,12 @@ _ALONG = 5.0
 """Twist [degrees] up to which a drawn object still lies along the long sides of tets: turned by it, 3 : 1 becomes 2.9 : 1.1."""
 
 
+EARLY = 0.25
+"""Share of the depth within which a press begins: a ball has half its radius of contact then (docs/meshing.md, *Where a press begins*)."""
+SMALL = 0.6
+"""Share of the length, and of the width, touched in the end within which a press begins at a point: of a ball or a cone, not of a rod."""
+
+
 @lru_cache(maxsize=4)
 def _at_first_touch(scene: Scene) -> tuple[QuadraticSurface, Array, Array]:
     """The object's surface, as if it were rigid, and its placement on the gel."""
@@ -27,15 +34,22 @@ def _at_first_touch(scene: Scene) -> tuple[QuadraticSurface, Array, Array]:
     return surface, *placement(scene, surface)
 
 
+def _overlapping(scene: Scene, depth: float) -> tuple[Array, Array]:
+    """Points (K, 3) of the object that lie in the undeformed gel when pressed by `depth` [m]: in its own frame, and where they touch first.
+
+    Its apex where no point of its surface is a node in there.
+    """
+    surface, turn, shift = _at_first_touch(scene)
+    placed = surface.nodes @ turn.T + shift
+    over = (np.abs(placed[:, :2]) <= np.array(scene.gel.size_mm) * MM / 2).all(axis=1)
+    inside = over & (placed[:, 2] - gel_height(scene.gel, placed[:, :2]) < depth)
+    return (surface.nodes[inside], placed[inside]) if inside.any() else (np.zeros((1, 3)), shift[None])
+
+
 def footprint(scene: Scene) -> Footprint:
     """The undeformed overlap at full depth with a margin for drape and tangential travel, in classes."""
-    surface, turn, shift = _at_first_touch(scene)
-    points = surface.nodes @ turn.T + shift
+    touched = _overlapping(scene, press_depth(scene))[1][:, :2]
     half = np.array(scene.gel.size_mm) * MM / 2
-    over = (np.abs(points[:, :2]) <= half).all(axis=1)
-    touched = points[over & (points[:, 2] - gel_height(scene.gel, points[:, :2]) < press_depth(scene))][:, :2]
-    if not len(touched):
-        touched = shift[None, :2]
     margin = 0.1 * MM + np.abs(scene.press.shear_mm) * MM
     low, high = touched.min(axis=0) - margin, touched.max(axis=0) + margin
     inner = np.maximum(0.0, np.maximum(low, -high))
@@ -57,17 +71,42 @@ def edge_in_contact(scene: Scene, area: Footprint) -> float:
     return min(contact_edge(area, sizes), fine_feature(scene.object) / sizes.divisions)
 
 
+def core(scene: Scene, edge: float, of_object: bool) -> tuple[Array, float]:
+    """Points (K, 3) where the press begins, on the object in its own frame or on the gel's flat block, and the edge length [m] there.
+
+    None where that is as long or as wide as what is touched in the end, or nearly; edges are `edge` long there.
+    """
+    sizes = SIZES[scene.fidelity]
+    size = max(sizes.core * edge, sizes.finest)
+    early, whole = (_overlapping(scene, share * press_depth(scene))[0 if of_object else 1] for share in (EARLY, 1.0))
+    low, high = early[:, :2].min(axis=0), early[:, :2].max(axis=0)
+    half = np.maximum((high - low) / 2, 0.5 * size)
+    if size >= edge or (2 * half > SMALL * np.ptp(whole[:, :2], axis=0)).any():
+        return np.zeros((0, 3)), size
+    lines = [np.linspace(-h, h, 1 + int(np.ceil(2 * h / (0.5 * size)))) for h in half]
+    disc = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    disc = disc[((disc / half) ** 2).sum(axis=1) <= 1.0 + 1e-9] + (low + high) / 2
+    if not of_object:
+        return np.column_stack([disc, np.zeros(len(disc))]), size
+    return np.column_stack([disc, early[KDTree(early[:, :2]).query(disc)[1], 2]]), size
+
+
 def contact_field(area: Footprint, bottom: float, top: float, edge: float, sizes: MeshSizes, far: float, rims: Array,
-           seams: tuple[Array, float] = (np.zeros((0, 3)), np.inf)) -> SizeField:  # fmt: skip
-    """The size field of a body whose contact reaches from `bottom` to `top` [m], as fine as `sizes` say along `rims` and at `seams`."""
+           *near: tuple[Array, float]) -> SizeField:  # fmt: skip
+    """The size field of a body whose contact reaches from `bottom` to `top` [m], as fine as `sizes` say along `rims`, and as is asked for
+    `near` points (K, 3)."""
     rounding = min(area.high) if area.round else 0.0
-    rim = min(edge, sizes.rim if len(rims) or not len(seams[0]) else np.inf, seams[1])
-    points = np.vstack([cut_pieces(rims, rim).reshape(-1, 3), seams[0]])
-    folded = area.folded(points)
-    _, first = np.unique(np.round(folded / (0.1 * rim)), axis=0, return_index=True)
+    rim = min(edge, sizes.rim)
     corners = (*area.low, bottom), (*area.high, top)
     mirrored = (not area.side[0], not area.side[1])
-    return SizeField(*corners, edge, sizes.growth, far, rounding, rim, sizes.rim_growth, folded[np.sort(first)], mirrored)
+    at = [(cut_pieces(rims, rim).reshape(-1, 3), rim), *near]
+    folded = tuple((_apart(area.folded(points), 0.1 * size), size) for points, size in at if len(points))
+    return SizeField(*corners, edge, sizes.growth, far, rounding, folded, sizes.rim_growth, mirrored)
+
+
+def _apart(points: Array, distance: float) -> Array:
+    """Those (K, 3) that are not as good as at the place of one before."""
+    return points[np.sort(np.unique(np.round(points / distance), axis=0, return_index=True)[1])]
 
 
 def cut_pieces(pieces: Array, longest: float) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine
-from gelsim.contact_area import contact_field, edge_in_contact, footprint, rims_on_gel
+from gelsim.contact_area import contact_field, core, edge_in_contact, footprint, rims_on_gel
 from gelsim.errors import MeshingError
 from gelsim.geometry import (
     TET_EDGES,
@@ -63,7 +63,8 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
     rims = rims_on_gel(scene)
     fine = FINE_DEPTH * min(thickness, *area.high)
-    field = contact_field(area, -fine, 0.0, edge_in_contact(scene, area), sizes, sizes.gel_far, rims)
+    edge = edge_in_contact(scene, area)
+    field = contact_field(area, -fine, 0.0, edge, sizes, sizes.gel_far, rims, core(scene, edge, of_object=False))
     # A quarter, then its mirror images; along an axis at whose one side all the contact lies the whole, for its image would be wasted.
     left, near = (end if side else 0.0 for side, end in zip(area.side, (x, y), strict=True))
     low, high = np.array([-left, -near, -thickness]), np.array([x, y, 0.0])

@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.contact_area import contact_field, cut_pieces, edge_in_contact, footprint
+from gelsim.contact_area import contact_field, core, cut_pieces, edge_in_contact, footprint
 from gelsim.errors import MeshingError
 from gelsim.files import whole_file
 from gelsim.geometry import (
@@ -77,11 +77,11 @@ _COARSE = np.radians(30.0)
 _MOST_CURVED = 0.12
 """Largest move of a mid-side node onto the exact shape, per edge length: an arc of 54 degrees."""
 _ATTEMPTS = ((1.0, 10.0, 20), (1 / 3, 10.0, 20), (2 / 15, 6.0, 80))
-"""Share of the envelope (`MeshSizes.envelope`) in which fTetWild may move the surface before its vertices are put back; its AMIPS energy to
+"""Share of the envelope in which fTetWild may move the surface before its vertices are put back; its AMIPS energy to
 stop at (a regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more
 passes."""
 _OF_FACETS = 0.15
-"""The envelope of a surface whose vertices are not put back."""
+"""The same per smallest edge length (`MeshSizes.envelope`) of a surface whose vertices are not put back."""
 
 Progress = Callable[[str], None]
 Within = tuple[tuple[Inclusion, TriMesh], ...]
@@ -103,7 +103,8 @@ def mesh_object(
         MeshingError: The surface cannot be filled, or the filling is of too low quality.
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
-    area = footprint(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0))))
+    centred = scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0)))
+    area = footprint(centred)
     within: tuple[Inclusion, ...] = ()
     # As of the gel: no mirror image where one side alone is touched.
     side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
@@ -124,7 +125,8 @@ def mesh_object(
     rims = cut_pieces(sharp_edges(body), min(edge, sizes.rim))
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
-    field = contact_field(*box, edge, sizes, far, rims, _seams(body, shape, within, sizes))
+    near = _seams(body, shape, within, sizes), core(centred, edge, of_object=True)
+    field = contact_field(*box, edge, sizes, far, rims, *near)
     inner: list[TriMesh] = []
     if surface is None:
         assert shape is not None
@@ -132,7 +134,7 @@ def mesh_object(
             TriMesh(*solid_surface(each, np.inf, lambda points: _CHORD * field(points))[:2]) for each in (shape, *(i.shape for i in within))
         )
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
-    envelope = _OF_FACETS if shape is None else sizes.envelope
+    envelope = (_OF_FACETS if shape is None else sizes.envelope) * min(field.smallest, sizes.rim)
     mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)), drawn_before)
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh
@@ -181,7 +183,6 @@ def _fill(
     """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
-    smallest = min(field.contact, field.rim)
     inside = TriMesh(surface.vertices * squeeze, surface.faces)
     for _, inner in within:
         inside = TriMesh(
@@ -189,12 +190,12 @@ def _fill(
         )
     fault = ""
     for share, energy, passes in _ATTEMPTS:
-        vertices, tets = _tetwild(inside, narrow, share * envelope * smallest, energy, passes, label)
+        vertices, tets = _tetwild(inside, narrow, share * envelope, energy, passes, label)
         vertices = vertices / squeeze
         inverted = tet_volumes(vertices, tets) < 0
         tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
         regions = _regions(vertices, tets, within)
-        near = 2 * stretch * (share * envelope * smallest + _CHORD * field(vertices))
+        near = 2 * stretch * (share * envelope + _CHORD * field(vertices))
         vertices, faces, patch = _snapped(vertices, tets, regions, shape, within, near)
         quality = tet_quality(vertices * squeeze, tets)
         if quality.min() <= _WORST_QUALITY:

@@ -86,9 +86,8 @@ def _sharp(before: Segment, after: Segment) -> bool:
 
 
 def _field(half: float, bottom: float, top: float, edge: float, sizes: MeshSizes, far: float, rims: Array) -> Sizes:
-    rim = min(edge, sizes.rim)
-    points = np.insert(rims, 1, 0.0, axis=1)
-    field = SizeField((0.0, 0.0, bottom), (half, half, top), edge, sizes.growth, far, 0.0, rim, sizes.rim_growth, points)
+    along = ((np.insert(rims, 1, 0.0, axis=1), min(edge, sizes.rim)),) if len(rims) else ()
+    field = SizeField((0.0, 0.0, bottom), (half, half, top), edge, sizes.growth, far, 0.0, along, sizes.rim_growth)
     return lambda p: field(np.insert(p, 1, 0.0, axis=1))
 
 

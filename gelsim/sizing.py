@@ -1,11 +1,13 @@
 """How long the edges of a mesh should be, and where: fine in the expected contact and along sharp rims in it, growing away from them.
 
-    h(p) = min(h_far, h_contact + growth · d(p), h_rim + rim_growth · r(p)),
-    d = distance to the area in which contact is expected, a box or a disc of some depth; r = distance to the nearest point of a rim.
+    h(p) = min(h_far, h_contact + growth · d(p), h_i + rim_growth · r_i(p)),
+    d = distance to the area in which contact is expected, a box or a disc of some depth; r_i = distance to the nearest of some points:
+    of rims, of seams in an object, of where it touches first.
 
 The area is the overlap of the undeformed object and gel at full depth plus a margin for drape and tangential travel; its half widths are
 rounded up to a few classes, so that one gel mesh serves many presses. A rim is a sharp convex edge of the object that lies in the area:
-there the pressure of a rigid body has its peak, and faces of the gel that straddle the edge let it through. For objects fTetWild
+there the pressure of a rigid body has its peak, and faces of the gel that straddle the edge let it through. Where a press begins at a
+point, its first states touch a few faces of what resolves the whole: edges are shorter where the first of it touches. For objects fTetWild
 takes h as the nodal values of a background mesh; the gel's bisection asks for it at corners.
 
 Left out: rims that only come into contact by deformation or travel.
@@ -14,7 +16,7 @@ Left out: rims that only come into contact by deformation or travel.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +57,8 @@ class MeshSizes:
     rim: float
     """Edge length along sharp rims; the edge length in contact where that is shorter."""
     rim_growth: float
+    core: float
+    """Edge length where the press begins over that in contact, if it begins on a small part of the contact; 1 for no difference."""
     gel_far: float
     object_far: float
     envelope: float
@@ -65,9 +69,9 @@ class MeshSizes:
 
 
 SIZES = {
-    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 400.0, 0.9, 0.50 * MM, 0.9, 5.0 * MM, 8.0 * MM, 0.3, True),
-    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, np.inf, 0.8, 0.30 * MM, 0.9, 4.5 * MM, 7.0 * MM, 0.15, False),
-    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, np.inf, 0.7, 0.20 * MM, 0.9, 3.0 * MM, 4.0 * MM, 0.15, False),
+    "fast": MeshSizes(4.5, 0.25 * MM, 1.9 * MM, 120.0, 400.0, 0.9, 0.50 * MM, 0.9, 1.0, 5.0 * MM, 8.0 * MM, 0.3, True),
+    "balanced": MeshSizes(8.0, 0.18 * MM, 1.5 * MM, np.inf, np.inf, 0.8, 0.30 * MM, 0.9, 0.7, 4.5 * MM, 7.0 * MM, 0.15, False),
+    "reference": MeshSizes(14.0, 0.085 * MM, 0.65 * MM, np.inf, np.inf, 0.7, 0.20 * MM, 0.9, 0.7, 3.0 * MM, 4.0 * MM, 0.15, False),
 }
 
 
@@ -118,7 +122,7 @@ def object_edge(area: Footprint, depth: float, edge: float, most_cubes: float) -
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high], its upright edges rounded, and away from rims;
+    """Edge lengths [m] that grow linearly away from a box |x|, |y|, z in [low, high], its upright edges rounded, and away from some points;
     without the bars where it lies on one side."""
 
     low: tuple[float, float, float]
@@ -128,10 +132,9 @@ class SizeField:
     far: float
     rounding: float = 0.0
     """Radius of the upright edges [m]; 0 where the box does not reach to the axis."""
-    rim: float = np.inf
-    rim_growth: float = 0.0
-    rim_points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(K, 3), |x| and |y| where it is mirrored, no farther apart than `rim`."""
+    near: tuple[tuple[Array, float], ...] = ()
+    """Points (K, 3), |x| and |y| where it is mirrored, and the edge length at them, than which they are no farther apart."""
+    near_growth: float = 0.0
     mirrored: tuple[bool, bool] = (True, True)
     """Whether it is the same at -x, and at -y."""
 
@@ -141,23 +144,27 @@ class SizeField:
         away = np.maximum(np.maximum(self.low - folded, folded - high), 0.0)
         aside = np.maximum(np.hypot(away[..., 0], away[..., 1]) - self.rounding, 0.0)
         size = np.minimum(self.far, self.contact + self.growth * np.hypot(aside, away[..., 2]))
-        if len(self.rim_points):
+        if self.near:
             from scipy.spatial import KDTree
 
-            size = np.minimum(size, self.rim + self.rim_growth * KDTree(self.rim_points).query(folded)[0])
+            for places, edge in self.near:
+                size = np.minimum(size, edge + self.near_growth * KDTree(places).query(folded)[0])
         return size
+
+    @property
+    def smallest(self) -> float:
+        return min([self.contact, *(edge for _, edge in self.near)])
 
     def squeezed(self, stretch: float) -> SizeField:
         """The same field in the space squeezed along y; edges there may be `stretch` times longer along y when they are back."""
         squeeze = np.array([1.0, 1.0 / stretch, 1.0])
         low, high = (tuple(float(v) for v in np.array(corner) * squeeze) for corner in (self.low, self.high))
-        return replace(self, low=low, high=high, rim_points=self.rim_points * squeeze)
+        return replace(self, low=low, high=high, near=tuple((places * squeeze, edge) for places, edge in self.near))
 
     def settings(self) -> tuple[object, ...]:
         """Everything it depends on, for a hash; a picometre does not matter."""
-        rim = np.round(self.rim_points * 1e12).astype(np.int64).tolist()
-        one_sided = () if all(self.mirrored) else (self.mirrored,)
-        return (self.low, self.high, self.contact, self.growth, self.far, self.rounding, self.rim, self.rim_growth, rim, *one_sided)
+        near = [(np.round(places * 1e12).astype(np.int64).tolist(), edge) for places, edge in self.near]
+        return (self.low, self.high, self.contact, self.growth, self.far, self.rounding, near, self.near_growth, self.mirrored)
 
     def background(self, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int32], Array]:
         """A tetrahedral mesh over the bounding box, its points close where the field is small, and the field at the points."""
@@ -183,8 +190,8 @@ class SizeField:
         """The smallest field on the plane where coordinate `axis` is `value`, or a little less."""
         v = abs(value) if axis < 2 and self.mirrored[axis] else value
         size = min(self.far, self.contact + self.growth * max(self.low[axis] - v, v - self.high[axis], 0.0))
-        if len(self.rim_points):
-            size = min(size, self.rim + self.rim_growth * float(np.abs(self.rim_points[:, axis] - v).min()))
+        for places, edge in self.near:
+            size = min(size, edge + self.near_growth * float(np.abs(places[:, axis] - v).min()))
         return size
 
 

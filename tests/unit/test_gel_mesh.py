@@ -1,6 +1,7 @@
 """The gel's mesh: repeatable, conforming, graded as asked, on the dome, with edges along rims; and what makes it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,13 +9,13 @@ from mesh_fixtures import assert_whole, scene
 
 from gelsim import gel_mesh
 from gelsim.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine, split
-from gelsim.contact_area import footprint
+from gelsim.contact_area import core, footprint
 from gelsim.errors import MeshingError
 from gelsim.gel_mesh import LONGER, mesh_gel
 from gelsim.geometry import TET_EDGES, TetMesh, jacobian_determinants, outer_faces, quadratic_tets, tet_quality, tet_volumes, volume
 from gelsim.rim_edges import LEAST, lay_edges
 from gelsim.scene import Body, Gel, Press, Scene
-from gelsim.shapes import gel_height
+from gelsim.shapes import gel_height, rotation
 from gelsim.sizing import SIZES, SizeField
 
 WHOLE, QUARTER = frozenset[str](), frozenset("xy")
@@ -162,6 +163,48 @@ def test_edges_follow_the_size_field(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gel_mesh, "LONGER", 2.5)
     coarse = mesh_gel(given, QUARTER)
     assert (longest_across(coarse) / np.sqrt(2) > LONGER * field(coarse.rest_positions[coarse.tets[:, :4]]).min(axis=1)).any()
+
+
+def test_a_press_begins_at_a_point_or_it_does_not() -> None:
+    """Of balls and cones a small part is touched within a quarter of the depth; of a flat all, of a rod half."""
+    begins = replace(scene("hemisphere", "flat", depth_mm=1.0), fidelity="balanced")
+    points, size = core(begins, 0.4e-3, of_object=False)
+    assert size == pytest.approx(0.28e-3)
+    assert np.hypot(*points[:, :2].T).max() == pytest.approx(np.sqrt(2 * 5 * 0.25) * 1e-3, rel=0.1)
+    apart = np.linalg.norm(points[:, None] - points, axis=2) + np.eye(len(points))
+    assert apart.min(axis=1).max() <= 0.5 * size
+    assert len(core(begins, 0.2e-3, of_object=False)[0]) and core(begins, 0.2e-3, of_object=False)[1] == SIZES["balanced"].finest
+    assert len(core(replace(scene("cone", "flat"), fidelity="balanced"), 0.4e-3, of_object=True)[0])
+    for shape in ("punch", "box", "cylinder", "edge"):
+        assert not len(core(replace(scene(shape, "flat"), fidelity="balanced"), 0.4e-3, of_object=False)[0]), shape
+    assert not len(core(replace(begins, fidelity="fast"), 0.4e-3, of_object=False)[0])
+
+
+def test_where_a_press_begins_moves_with_it() -> None:
+    """An offset moves it on the gel, a tilt on the object: to where its ball is lowest."""
+    moved = replace(scene("hemisphere", "flat", offset_mm=(6.0, -2.0)), fidelity="reference")
+    assert core(moved, 0.4e-3, of_object=False)[0].mean(axis=0) == pytest.approx([6e-3, -2e-3, 0.0], abs=0.05e-3)
+    assert core(moved, 0.4e-3, of_object=True)[0].mean(axis=0)[:2] == pytest.approx([0.0, 0.0], abs=0.05e-3)
+    tilted = replace(scene("hemisphere", "flat", tilt_deg=(0.0, 20.0)), fidelity="reference")
+    lowest = np.array([0.0, 0.0, 5e-3]) - 5e-3 * rotation(tilted)[2]
+    assert abs(lowest[0]) == pytest.approx(5e-3 * np.sin(np.radians(20.0)))
+    assert core(tilted, 0.4e-3, of_object=True)[0].mean(axis=0) == pytest.approx(lowest, abs=0.15e-3)
+
+
+def test_edges_are_short_where_a_press_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = replace(scene("hemisphere", "flat"), fidelity="balanced")
+
+    def shorter() -> float:
+        """Longest edges of the outer face's triangles within 1 mm of first touch over those 2 to 2.6 mm from it."""
+        mesh = mesh_gel(given, QUARTER)
+        corners = mesh.rest_positions[mesh.groups["coated"][:, :3], :2]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        away = np.hypot(*corners.mean(axis=1).T)
+        return float(longest[away < 1e-3].mean() / longest[(away > 2e-3) & (away < 2.6e-3)].mean())
+
+    assert shorter() < 0.8
+    monkeypatch.setattr(gel_mesh, "core", lambda *_, **__: (np.zeros((0, 3)), 1e-3))
+    assert shorter() > 0.95  # the planted fault
 
 
 def test_long_tets_under_a_cylinder() -> None:

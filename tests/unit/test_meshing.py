@@ -142,6 +142,28 @@ def test_contact_on_one_side_is_meshed_there_alone() -> None:
     assert max(ends) > 2 * min(ends)
 
 
+def test_an_object_is_fine_where_its_press_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted: list[SizeField] = []
+
+    class _Enough(Exception):
+        """What was to be filled is all that is asked for."""
+
+    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
+        wanted.append(field)
+        raise _Enough
+
+    monkeypatch.setattr(meshing, "_cached_fill", fill)
+    given = replace(scene("hemisphere", "flat", depth_mm=1.0), fidelity="balanced")
+    for press in (given.press, replace(given.press, offset_mm=(2.0, 0.0)), replace(given.press, tilt_deg=(0.0, 20.0))):
+        with pytest.raises(_Enough):
+            mesh_object(given.replace(press=press), progress=QUIET)
+    centred, beside, tilted = wanted
+    apex, lowest = np.zeros(3), np.array([5e-3 * np.sin(np.radians(20.0)), 0.0, 5e-3 * (1 - np.cos(np.radians(20.0)))])
+    assert centred(apex) < 0.9 * centred.contact and tilted(lowest) < 0.9 * tilted.contact
+    assert centred(lowest) > 0.95 * centred.contact and tilted(apex) > 0.95 * tilted.contact
+    assert beside.settings() == centred.settings(), "an offset needs no new mesh"
+
+
 def test_background_mesh_fills_its_box_and_carries_the_field() -> None:
     field = SizeField((0.0, 0.0, -1e-3), (2e-3, 3e-3, 0.0), 0.4e-3, 0.6, 3e-3)
     lower, upper = np.array([-1e-3, -1e-3, -3e-3]), np.array([13e-3, 13e-3, 1e-3])
