@@ -1,6 +1,6 @@
 """Checkpoints: tensors and plain types in one file, so that loading one runs nothing. Written under a temporary name, then renamed.
 
-    format, config, step, network (weights), optimizer, averaged (weights), best (validation loss), spread_factor, novelty, provenance
+    format, config, step, network (weights), optimizer, averaged (weights), best (validation loss), spread_factor, novelty, gels, provenance
 
 `last.pt` holds all of it and is what --resume goes on from; `model.pt` has no optimizer and is what eval and predict read.
 """
@@ -38,6 +38,8 @@ class Checkpoint:
     """By which the network's spread is multiplied, fitted on the validation split."""
     novelty: dict[str, Any] | None = None
     """`learn.novelty.Novelty` as tensors."""
+    gels: dict[str, Any] | None = None
+    """`learn.novelty.GelRange` as tensors; None: of a training that knew no gel, or from before it was kept."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Data, command, versions, seconds: text and numbers."""
 

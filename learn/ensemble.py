@@ -2,7 +2,8 @@
 
     m = mean of mᵢ,     s² = mean of sᵢ² + mean of (mᵢ − m)²,     d = least of dᵢ
 
-mᵢ is what network i says, sᵢ its spread times its own factor, dᵢ its novelty over its own threshold: what one of them knows is not strange.
+mᵢ is what network i says, sᵢ its spread times its own factor, dᵢ its novelty over its own threshold: what one of them knows is not strange,
+a gel neither.
 Networks that were trained on different presses err differently, so m errs less than they do, and where they disagree s says it. Left out:
 weights by spread, which on test presses gave 7.7 for 7.8 and a spread that is less honest, and a factor of the whole, which would need a
 split that none trained on.
@@ -20,9 +21,9 @@ from numpy.typing import NDArray
 
 from learn.checkpoint import load
 from learn.config import LearnError
-from learn.data import Press
+from learn.data import Gel, Press
 from learn.estimate import batches, estimate
-from learn.novelty import Novelty, novelty_from_plain
+from learn.novelty import Novelty, gel_range_from_plain, novelty_from_plain, strange_gel
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,7 @@ class Ensemble:
         self.checkpoints = [load(path) for path in models]
         self._networks = [kept.build().to(device) for kept in self.checkpoints]
         self._novelties = [novelty_from_plain(kept.novelty) for kept in self.checkpoints]
+        self._gels = [gel_range_from_plain(kept.gels) for kept in self.checkpoints]
         self._device = device
         first = self.checkpoints[0].config
         for path, kept in zip(models[1:], self.checkpoints[1:], strict=True):
@@ -64,6 +66,10 @@ class Ensemble:
         spreads = [part.spread * kept.spread_factor for part, kept in zip(said, self.checkpoints, strict=True)]
         distances = [_distance(novelty, part.statistics) for part, novelty in zip(said, self._novelties, strict=True)]
         return _mixed([part.mean for part in said], spreads, distances)
+
+    def strange_gel(self, gel: Gel) -> list[str]:
+        """What of a gel none of the networks was trained on, in words (`learn.novelty`)."""
+        return strange_gel(gel, self._gels)
 
     def unread(self, count: int) -> Reading:
         """Of presses that show nothing: what the networks were trained on."""

@@ -198,6 +198,7 @@ def _predict(part: Archive, ensemble: Ensemble, learnt: Baselines | None) -> lis
         said = ensemble.read([press for press in presses if press is not None])
         for kept, found in ((reading.mean, said.mean), (reading.spread, said.spread), (reading.novelty, said.novelty)):
             kept[seen] = found
+    odd_gel = [press is not None and bool(ensemble.strange_gel(press.gel)) for press in presses]
     curves = [over_time(curve, ensemble.inputs) for curve in zip(part.signals, part.features, strict=True)]
     bare = {name: learnt.predict(name, curves) for name in NAMES} if learnt else {}
     return [
@@ -208,6 +209,7 @@ def _predict(part: Archive, ensemble: Ensemble, learnt: Baselines | None) -> lis
             "spread": float(reading.spread[number]),
             "novelty": float(reading.novelty[number]),
             "contact": presses[number] is not None,
+            "unlike": bool(reading.novelty[number] > 1) or odd_gel[number],
             **{name: float(values[number]) for name, values in bare.items()},
         }
         for number, row in enumerate(part.rows)
@@ -223,7 +225,7 @@ def _row_report(name: str, predictions: list[dict[str, Any]], with_baselines: bo
     report: dict[str, Any] = {
         "presses": len(predictions),
         "without_contact": sum(not prediction["contact"] for prediction in predictions),
-        "unlike_training": int((_column(predictions, "novelty") > 1).sum()),
+        "unlike_training": sum(prediction["unlike"] for prediction in predictions),
     }
     rigid = [prediction["estimate"] for prediction in predictions if prediction["row"]["rigid"]]
     if rigid:

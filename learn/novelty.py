@@ -1,26 +1,33 @@
-"""Is a press like those that the network was trained on? A Mahalanobis distance, its threshold taken from held-out presses.
+"""Is a press like those that the network was trained on? A distance of its pictures, and the range of gels.
+
+The distance is Mahalanobis's, its threshold taken from held-out presses:
 
     d² = (f − μ)ᵀ Σ⁻¹ (f − μ) / F,     Σ = (1 − λ) S + λ diag(S)
 
 f are F numbers of a press: the network's own features at its last picture, and plain statistics of the pictures (colour and contrast of the
 no-contact frame and of the change, length), because features may forget what the pictures never varied in. μ and S are of training draws; λ
 keeps Σ regular when presses are few. d is about 1 for a press like those. A press is called unlike them when d exceeds what 99 % of the
-validation presses stay below. After Lee et al. (NeurIPS 2018), with one class. It says nothing about presses that look alike and are not.
+validation presses stay below. After Lee et al. (NeurIPS 2018), with one class. It says nothing about presses that look alike and are not:
+pictures do not show how thick a gel is. Where the gel is known, its numbers are compared with those of the training presses, one by one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 
 from learn.config import LearnError
-from learn.data import Batch
+from learn.data import Batch, Gel
 from learn.model import last_of
 
 SHRINKAGE = 0.1
 QUANTILE = 0.99
+GEL_TOLD = (("thickness", "mm", 1), ("edge thickness", "mm", 1), ("hardness", "Shore 00", 0))
+"""Of a `Gel`: what each number is called, its unit, and the decimals to which it is told and compared: a lab knows its own no better."""
 
 
 def press_statistics(batch: Batch, features: torch.Tensor) -> torch.Tensor:
@@ -79,3 +86,51 @@ def novelty_from_plain(plain: object) -> Novelty | None:
             if mean.ndim == 1 and whitening.shape == (len(mean), len(mean)):
                 return Novelty(mean.double(), whitening.double(), threshold)
     raise LearnError("checkpoint: novelty is damaged")
+
+
+@dataclass(frozen=True, eq=False)
+class GelRange:
+    """Which gels training presses had: the lowest and the highest of each number of a `Gel`."""
+
+    lowest: torch.Tensor
+    """Shape (3,)."""
+    highest: torch.Tensor
+    """Shape (3,)."""
+
+    def to_plain(self) -> dict[str, Any]:
+        return {"lowest": self.lowest, "highest": self.highest}
+
+
+def gel_range(gels: Iterable[Gel]) -> GelRange | None:
+    """Of those that are known; None: none is."""
+    known = torch.tensor([gel for gel in gels if np.isfinite(gel).all()], dtype=torch.float64)
+    return GelRange(known.amin(dim=0), known.amax(dim=0)) if len(known) else None
+
+
+def gel_range_from_plain(plain: object) -> GelRange | None:
+    """Raises LearnError for what is no such table."""
+    if plain is None:
+        return None
+    if isinstance(plain, dict):
+        lowest, highest = (plain.get(name) for name in ("lowest", "highest"))
+        if isinstance(lowest, torch.Tensor) and isinstance(highest, torch.Tensor) and lowest.shape == highest.shape == (len(GEL_TOLD),):
+            found = GelRange(lowest.double(), highest.double())
+            if bool((found.lowest <= found.highest).all()) and bool(torch.isfinite(found.highest - found.lowest).all()):
+                return found
+    raise LearnError("checkpoint: its range of gels is damaged")
+
+
+def strange_gel(gel: Gel, ranges: Sequence[GelRange | None]) -> list[str]:
+    """Which numbers of a gel lie outside the ranges of all networks, in words; none where the gel, or the range of any, is not known."""
+    known = [found for found in ranges if found is not None]
+    if len(known) < len(ranges) or not np.isfinite(gel).all():
+        return []
+    words = []
+    for number, (name, unit, decimals) in enumerate(GEL_TOLD):
+        value = round(gel[number], decimals)
+        bounds = [tuple(round(float(end[number]), decimals) for end in (found.lowest, found.highest)) for found in known]
+        if not any(low <= value <= high for low, high in bounds):
+            spans = [f"{low:.{decimals}f} to {high:.{decimals}f}" if low < high else f"{low:.{decimals}f}" for low, high in bounds]
+            trained = " or ".join(dict.fromkeys(spans))
+            words.append(f"the gel's {name} {value:.{decimals}f} {unit} is outside what it was trained on ({trained} {unit})")
+    return words

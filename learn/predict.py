@@ -81,7 +81,7 @@ def predict(
         sensor: Whose gel it is (`gel_of_sensor`); None: what a press itself says of it, if anything.
     Yields:
         source, status ("ok", "no contact" or "unreadable"), note; when ok also shore_00, spread (None: the network knows none), frames,
-        novelty (distance over the threshold; None: not fitted), unlike_training, true (None: unknown).
+        novelty (distance over the threshold; None: not fitted), unlike_training (by that or by the gel), true (None: unknown).
     Raises:
         LearnError, SceneError: The checkpoint or the sensor cannot be used, or the network takes no gel.
     """
@@ -109,7 +109,7 @@ def predict(
             press = replace(press, gel=source.gel if gel is None else gel)
             said = ensemble.read([press])
             mean, spread, distance = (float(part[0]) for part in (said.mean, said.spread, said.novelty))
-            unlike = distance > 1
+            strange, odd_gel = distance > 1, ensemble.strange_gel(press.gel)
             yield {
                 "source": source.name,
                 "status": "ok",
@@ -117,9 +117,9 @@ def predict(
                 "spread": spread if np.isfinite(spread) else None,
                 "frames": len(press.pictures),
                 "novelty": distance if np.isfinite(distance) else None,
-                "unlike_training": unlike,
+                "unlike_training": strange or bool(odd_gel),
                 "true": source.true,
-                "note": _note(mean, distance if unlike else None, ensemble.asks_gel and not np.isfinite(press.gel).all()),
+                "note": _note(mean, distance if strange else None, odd_gel, ensemble.asks_gel and not np.isfinite(press.gel).all()),
             }
 
 
@@ -135,12 +135,13 @@ def _listed(video: Path, *options: Any) -> Iterator[tuple[str, Callable[[], Sour
         yield str(video), refuse
 
 
-def _note(mean: float, distance: float | None, untold: bool) -> str:
+def _note(mean: float, distance: float | None, odd_gel: list[str], untold: bool) -> str:
     notes = []
     if distance is not None:
         notes.append(
             f"unlike anything it was trained on ({distance:.2g} times as far off as 99 % of its validation presses): do not trust this"
         )
+    notes += odd_gel
     if mean > HARDEST:
         notes.append(f"harder than any silicone it was trained on ({HARDEST:g})")
     if untold:

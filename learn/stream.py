@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gelsim.errors import DatasetError
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import Config, LearnError
-from learn.data import Batch, Press, collate, gel_of
+from learn.data import Batch, Gel, Press, collate, gel_of
 from learn.frames import FIXED_POINT, equal_steps, loading
 from learn.recordings import Archive
 
@@ -70,6 +70,12 @@ class Stream:
             stack = randomise(self._pictures.take(members, chosen), looks, noises, config.augment)
             gel = _hidden(torch.tensor(gels), looks)
             return _batch(stack, torch.tensor(lengths), torch.tensor(targets), torch.tensor(rigid), gel, inputs.deadband_levels)
+
+    def gels(self) -> list[Gel]:
+        """The gel of each press, hidden from the network or not."""
+        return [
+            gel_of(part.rows[number].get("gel")) for part, members in zip(self._archives, self._touching, strict=True) for number in members
+        ]
 
     def member(self, position: int) -> tuple[int, int]:
         """Archive, and number in it, of the press at a position."""

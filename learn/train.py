@@ -36,7 +36,7 @@ from learn.data import Batch, Press, held_presses, sides
 from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.logs import Curves
 from learn.model import Network, PaperNet, build, compile_convolutions, load_vgg, parameter_count
-from learn.novelty import fit_novelty
+from learn.novelty import fit_novelty, gel_range
 from learn.recordings import CACHE, Archive, Progress, archive
 from learn.stream import Stream, share, varied
 
@@ -313,7 +313,7 @@ def spread_factor(found: Estimates, target: np.ndarray) -> float:
 def _finish(
     out: Path, config: Config, stream: Stream, held: list[Press], device: torch.device, provenance: dict[str, Any]
 ) -> dict[str, Any]:
-    """Fits the spread's factor and the novelty distance to the best network and writes them with it."""
+    """Fits the spread's factor and the novelty distance to the best network and writes them with it, and the range of gels."""
     best = checkpoints.load(out / "model.pt")
     network = best.build().to(device)
     # Beyond the last step: draws that no step saw.
@@ -335,8 +335,8 @@ def _finish(
         if known.any():
             report["validation_rmse"] = float(np.sqrt(((found.mean - target)[known] ** 2).mean()))
             report["validation_rmse_of_mean"] = float(np.sqrt(((target[known] - float(network.centre)) ** 2).mean()))
-    novelty = fit_novelty(trained, statistics)
-    best.novelty = novelty.to_plain()
+    novelty, gels = fit_novelty(trained, statistics), gel_range(stream.gels())
+    best.novelty, best.gels = novelty.to_plain(), gels.to_plain() if gels else None
     checkpoints.save(out / "model.pt", best)
     return report | {"spread_factor": best.spread_factor, "novelty_threshold": novelty.threshold, "provenance": provenance}
 

@@ -101,6 +101,25 @@ def test_novelty_without_a_fit_is_not_known(tiny_run: Path, tmp_path: Path, pres
     assert np.isnan(Ensemble([tmp_path / "bare.pt"], CPU).read(presses).novelty).all()
 
 
+def test_a_gel_that_one_network_knows_is_not_strange(tiny_run: Path, tmp_path: Path) -> None:
+    """Ranges of 2.1 to 2.7 mm and of 3.1 to 3.7 mm. Planted: what either finds strange; the span over both, which hides the gap."""
+    kept = checkpoint.load(tiny_run / "model.pt")
+    assert kept.gels is not None
+    for name, gels in (("thick", {name: end + torch.tensor([1.0, 0.0, 0.0]) for name, end in kept.gels.items()}), ("old", None)):
+        checkpoint.save(tmp_path / f"{name}.pt", replace(kept, gels=gels))
+    alone, thick, old = tiny_run / "model.pt", tmp_path / "thick.pt", tmp_path / "old.pt"
+
+    def strange(models: list[Path]) -> list[bool]:
+        ensemble = Ensemble(models, CPU)
+        return [bool(ensemble.strange_gel((thickness, 1.0, 17.0))) for thickness in (2.4, 2.9, 3.4, 4.0)]
+
+    assert strange([alone]) == [False, True, True, True] and strange([thick]) == [True, True, False, True]
+    assert strange([alone, thick]) == [False, True, False, True]
+    assert strange([alone, old]) == [False] * 4  # nobody can say what the other knew
+    (words,) = Ensemble([alone, thick, alone], CPU).strange_gel((4.0, 1.0, 17.0))
+    assert words.endswith("thickness 4.0 mm is outside what it was trained on (2.1 to 2.7 or 3.1 to 3.7 mm)")
+
+
 def test_what_cannot_be_measured_is_strange(tiny_run: Path) -> None:
     """Statistics with a NaN, or too large for their squares. Planted: a NaN that stays one, which is what no fit at all gives."""
     novelty = novelty_from_plain(checkpoint.load(tiny_run / "model.pt").novelty)

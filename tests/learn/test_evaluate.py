@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from conftest import fake_dataset
 
-from learn import scores
+from gelsim.dataset import load_dataset
+from learn import checkpoint, scores
 from learn.baselines import NAMES, RIDGES, fit_baselines, over_time, ridge_weights
 from learn.config import LearnError, configure
 from learn.evaluate import FIRM_N, _row_report, evaluate, table
 from learn.features import press_features
+from learn.predict import predict
 
 
 def test_errors_of_a_known_row() -> None:
@@ -130,7 +134,7 @@ def test_objects_of_several_materials_are_ranked_by_their_body() -> None:
 def test_firm_presses_have_an_error_of_their_own() -> None:
     def press(force: float | None, error: float) -> dict:
         row = {"object": "a", "peak_force_n": force, "rigid": False, "body_shore_00": 30.0}
-        return {"row": row, "true": 30.0, "estimate": 30.0 + error, "spread": 5.0, "novelty": 0.0, "contact": True}
+        return {"row": row, "true": 30.0, "estimate": 30.0 + error, "spread": 5.0, "novelty": 0.0, "contact": True, "unlike": False}
 
     report = _row_report("robot", [press(FIRM_N, 3.0), press(4.0, -3.0), press(0.4, 40.0), press(None, 40.0)], False)
     assert (report["firm"]["presses"], report["firm"]["rmse"]) == (2, 3.0)
@@ -154,6 +158,20 @@ def test_an_evaluation_writes_the_table_of_the_paper(fake_data: Path, tiny_run: 
         evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "eval")
     with pytest.raises(LearnError, match="no split 'nonsense'"):
         evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "other", rows=["nonsense"])
+
+
+def test_an_evaluation_calls_strange_what_a_prediction_does(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
+    """By the gel too. Planted: a network of a harder range, which no distance of pictures tells from the other."""
+    kept = checkpoint.load(tiny_run / "model.pt")
+    assert kept.gels is not None
+    harder = {name: end + torch.tensor([0.0, 0.0, 20.0]) for name, end in kept.gels.items()}
+    checkpoint.save(tmp_path / "harder.pt", replace(kept, gels=harder))
+    for model, all_strange in ((tiny_run / "model.pt", False), (tmp_path / "harder.pt", True)):
+        row = evaluate([model], fake_data, tmp_path / model.stem, rows=["novel_hardness"], baselines=False)["rows"]["novel_hardness"]
+        assert (row["unlike_training"] == row["presses"]) == all_strange
+        told = [answer["unlike_training"] for answer in predict([model], [fake_data])]
+        indices = load_dataset(fake_data).splits["novel_hardness"]
+        assert row["unlike_training"] == sum(told[index] for index in indices)
 
 
 def test_baselines_may_learn_from_another_dataset(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:

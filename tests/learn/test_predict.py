@@ -19,6 +19,7 @@ from gelsim.dataset import load_dataset
 from gelsim.scene import Gel, Scene
 from gelsim.scene_file import dump_scene
 from learn import cli
+from learn.config import LearnError
 from learn.novelty import fit_novelty
 from learn.predict import gel_of_sensor, in_words, predict
 from learn.video import MOST_SECONDS
@@ -71,7 +72,10 @@ def test_the_gel_is_told_by_a_sensor_or_by_what_is_read(fake_data: Path, tiny_ru
     assert gel_of_sensor(str(whole)) == gel_of_sensor(str(sensor)) == (3.1, 1.2, 22.0)
     assert gel_of_sensor("fingertip2017") == (2.4, 1.0, 17.0)
     told = [ask(tiny_run, folder, sensor=str(file))[0] for file in (whole, sensor)]
-    assert told[0] == told[1] | {"note": told[0]["note"]} and "the gel" not in told[0]["note"]
+    assert told[0] == told[1] and told[0]["note"].split("; ")[-2:] == [
+        "the gel's thickness 3.1 mm is outside what it was trained on (2.1 to 2.7 mm)",
+        "the gel's hardness 22 Shore 00 is outside what it was trained on (13 to 19 Shore 00)",
+    ]
     (usual,) = ask(tiny_run, folder, sensor="fingertip2017")
     assert len({answer["shore_00"] for answer in (untold, told[0], usual)}) == 3
     # What `gelsim render` wrote says it itself; --sensor beats it; a scene that cannot be read takes nothing away.
@@ -158,6 +162,67 @@ def test_what_is_unlike_the_training_is_called_so(tiny_run: Path, press: np.ndar
     answer = ask(tiny_run, film(tmp_path / "strange.mkv", strange))[0]
     assert not like["unlike_training"] and answer["unlike_training"] and answer["novelty"] > 2 * like["novelty"]
     assert "do not trust" in in_words(answer)
+
+
+def gel_file(folder: Path, thickness: float, edge: float, shore: float) -> str:
+    """A sensor of such a gel."""
+    path = folder / f"{thickness:g}_{edge:g}_{shore:g}.toml"
+    path.write_text(f"[gel]\nthickness_mm = {thickness}\nedge_thickness_mm = {edge}\nshore_00 = {shore}\n")
+    return str(path)
+
+
+def test_a_gel_outside_the_trainings_is_named(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    """Trained on 2.1 to 2.7 mm, 0.8 to 1.4 mm at the edge, 00-13 to 19. Planted: an end of the range that counts as outside."""
+    video = film(tmp_path / "press.mkv", press)
+    for gel, named in (
+        ((2.1, 0.8, 13.0), []),
+        ((2.7, 1.4, 19.0), []),
+        ((2.74, 0.76, 19.4), []),  # to what is told, the same
+        ((2.0, 1.0, 17.0), ["thickness 2.0 mm"]),
+        ((2.4, 1.5, 17.0), ["edge thickness 1.5 mm"]),
+        ((4.0, 1.0, 12.0), ["thickness 4.0 mm", "hardness 12 Shore 00"]),
+    ):
+        (answer,) = ask(tiny_run, video, sensor=gel_file(tmp_path, *gel))
+        assert answer["novelty"] < 1 and answer["unlike_training"] == bool(named)
+        assert [note.partition(" is outside")[0] for note in answer["note"].split("; ") if note] == [f"the gel's {name}" for name in named]
+    # Who does not say which gel it is hears of no range.
+    (untold,) = ask(tiny_run, video)
+    assert not untold["unlike_training"] and "outside" not in untold["note"]
+
+
+def test_strange_pictures_and_a_strange_gel_are_both_told(tiny_run: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    strange = film(tmp_path / "strange.mkv", rng.integers(0, 256, (6, 36, 48, 3), dtype=np.uint8))
+    (answer,) = ask(tiny_run, strange, sensor=gel_file(tmp_path, 4.0, 1.0, 17.0))
+    assert answer["unlike_training"] and "do not trust" in answer["note"] and "thickness 4.0 mm is outside" in in_words(answer)
+
+
+def test_the_range_of_gels_may_lack_and_may_not_be_damaged(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    """A checkpoint from before it was kept reads as it did."""
+    video, sensor = film(tmp_path / "press.mkv", press), gel_file(tmp_path, 4.0, 1.0, 17.0)
+    kept = torch.load(tiny_run / "model.pt", weights_only=True)
+    lowest, highest = kept["gels"]["lowest"], kept["gels"]["highest"]
+
+    def answer(gels: object) -> dict[str, Any]:
+        torch.save(kept | {"gels": gels}, tmp_path / "model.pt")
+        return ask(tmp_path, video, sensor=sensor)[0]
+
+    bare = {name: value for name, value in kept.items() if name != "gels"}
+    torch.save(bare, tmp_path / "model.pt")
+    (old,) = ask(tmp_path, video, sensor=sensor)
+    assert not old["unlike_training"] and "outside" not in old["note"] and old == answer(None)
+    now = answer(kept["gels"])
+    assert now == old | {"unlike_training": True, "note": now["note"]} and "outside" in now["note"]
+    for damaged in (
+        "2.1 to 2.7",
+        {"lowest": lowest},
+        {"lowest": lowest.tolist(), "highest": highest.tolist()},
+        {"lowest": lowest[:2], "highest": highest[:2]},
+        {"lowest": highest, "highest": lowest},
+        {"lowest": lowest, "highest": highest * torch.nan},
+        {"lowest": lowest, "highest": highest * torch.inf},
+    ):
+        with pytest.raises(LearnError, match="range of gels is damaged"):
+            answer(damaged)
 
 
 def test_distance_is_one_for_presses_like_those(rng: np.random.Generator) -> None:

@@ -10,11 +10,13 @@ import pytest
 import torch
 
 from gelsim.cli import main as gelsim
-from gelsim.dataset import load_dataset
+from gelsim.dataset import gel_facts, load_dataset
+from gelsim.randomize import Catalogue, load_plan
 from learn.checkpoint import load
-from learn.data import UNKNOWN_GEL, Gel, Press, choose
+from learn.data import UNKNOWN_GEL, Gel, Press, choose, gel_of
+from learn.ensemble import Ensemble
 from learn.estimate import batches, estimate
-from learn.predict import find_model, find_models, predict
+from learn.predict import find_model, find_models, gel_of_sensor, predict
 from learn.recordings import record_episode
 
 ROW_RMSE = 3.2
@@ -26,6 +28,17 @@ def test_it_is_small_and_says_what_it_was_trained_on(name: str) -> None:
     checkpoint = load(find_model(name, "--model"))
     assert checkpoint.provenance["data"][0]["domain"] == "sim" and checkpoint.novelty is not None and checkpoint.spread_factor > 1
     assert sum(path.stat().st_size for path in find_model(name, "--model").parent.glob("*.pt")) < 20e6
+
+
+@pytest.mark.parametrize("name", ["paper2017", "varied"])
+def test_it_knows_the_gels_of_its_plan(name: str) -> None:
+    """Its sensors' and presses', drawn again: some presses reach 00-12 and 20. One of plan `gap` is strange to it."""
+    ensemble = Ensemble([find_model(name, "--model")], torch.device("cpu"))
+    for plan, strange in (("varied", 0), ("gap", 40)):
+        catalogue = Catalogue(load_plan(plan), 1)
+        gels = [gel_of(gel_facts(catalogue.press(number).scene.gel)) for number in range(40)]
+        assert sum(bool(ensemble.strange_gel(gel)) for gel in gels) == strange
+    assert not ensemble.strange_gel(gel_of_sensor("fingertip2017")) and ensemble.strange_gel(gel_of_sensor("gelsight_mini"))
 
 
 @pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 41.663, 44.029), ("varied", 53.887, 55.071)])

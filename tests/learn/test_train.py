@@ -15,6 +15,7 @@ import pytest
 import torch
 from conftest import TINY, fake_dataset
 
+from gelsim.dataset import load_dataset
 from learn import checkpoint, cli
 from learn.config import LearnError, configure, from_plain, to_plain
 from learn.logs import read_curves
@@ -64,6 +65,26 @@ def test_an_interrupted_run_leaves_a_network_that_knows_its_spread_and_what_is_s
         train(fake_data, tmp_path / "run", config, progress=stop_after_four)
     left = checkpoint.load(tmp_path / "run" / "model.pt")
     assert left.step < 4 and left.spread_factor != 1.0 and left.novelty is not None
+
+
+def test_a_training_keeps_the_range_of_its_gels(fake_data: Path, tmp_path: Path) -> None:
+    """As they were. Planted: gels that are all hidden from the network, a validation press of another gel, presses of none."""
+    data = shutil.copytree(fake_data, tmp_path / "data")
+    dataset = load_dataset(data)
+
+    def keep(of_training: bool) -> dict[str, torch.Tensor] | None:
+        for row in dataset.rows:
+            if row["index"] in dataset.splits["validation"]:
+                row["gel"] = {"thickness_mm": 9.0, "edge_thickness_mm": 0.5, "shore_00": 40.0}
+            elif row["index"] in dataset.splits["train"][:3] or not of_training:
+                row.pop("gel", None)
+        (data / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in dataset.rows))
+        train(data, tmp_path / "run", configure(**TINY, steps=1, hide_gel=1.0), force=True)
+        return checkpoint.load(tmp_path / "run" / "model.pt").gels
+
+    gels = keep(of_training=True)
+    assert gels is not None and gels["lowest"].tolist() == [2.1, 0.8, 13.0] and gels["highest"].tolist() == [2.7, 1.4, 19.0]
+    assert keep(of_training=False) is None
 
 
 @pytest.mark.filterwarnings("ignore")  # of torch, in torch
