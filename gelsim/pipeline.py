@@ -82,13 +82,14 @@ def press(
     progress: Progress | None = None,
     record: Record | None = None,
     throw: bool = True,
-    draws: int = DRAWS,
+    enough: Callable[[Deformation], bool] | None = None,
 ) -> Deformation:
     """Meshes both bodies and solves the press.
 
     Args:
         device: "auto", "cpu" or "cuda".
-        draws: Meshes of a soft object that it may have, one after the other until it gets to its end.
+        enough: Of a press that finds no equilibrium further on, whether it has got so far that it need not begin again at rest, with its
+            mesh or, a soft object's, with another (`DRAWS`). None: it begins again.
         record: Filled with seconds, mesh sizes and choices.
         throw: Raise when not every state was solved; else the deformation's `status` says so.
     Raises:
@@ -97,7 +98,7 @@ def press(
     """
     record = record or Record()
     if scene.target_error is not None or scene.target_membrane_um is not None:
-        return _press_to_target(scene, device, progress, record, throw, draws)
+        return _press_to_target(scene, device, progress, record, throw, enough)
     with record.stage("import"):
         import gelsim.fem  # noqa: F401  # counted here, not as the press
         from gelsim.reductions import choose_reduction
@@ -115,7 +116,7 @@ def press(
     report = (lambda done, total: progress("press", done, total)) if progress else None
     if reduction.planar:
         return _press_profile(scene, reduction, record, report, throw)
-    return _press_solid(scene, symmetry, device, record, report, throw, 1 if scene.object.rigid else draws)
+    return _press_solid(scene, symmetry, device, record, report, throw, enough)
 
 
 def _press_solid(
@@ -125,13 +126,13 @@ def _press_solid(
     record: Record,
     progress: Callable[[int, int], None] | None,
     throw: bool,
-    draws: int,
+    enough: Callable[[Deformation], bool] | None,
 ) -> Deformation:
     """The press as a solid; of the object's meshes the one with which it got furthest."""
     from gelsim.fem import further, solve_press
 
     best, meshes = None, {}
-    for draw in range(draws):
+    for draw in range(1 if scene.object.rigid else DRAWS):
         try:
             gel, body, placement = _bodies(scene, symmetry, record, draw)
         except (MeshingError, SceneError) as error:
@@ -140,13 +141,13 @@ def _press_solid(
             best.warn(f"did not reach its end with the object's first mesh, and could not be given another: {error}")
             break
         with record.stage("press"):
-            found = solve_press(scene, gel, body, placement, device=device, progress=progress)
+            found = solve_press(scene, gel, body, placement, device=device, progress=progress, enough=enough)
         if draw:
             found.warn(f"did not reach its end with the object's first mesh: solved with one drawn anew, number {draw + 1}")
         best = further(best, found)
         if best is found:
             meshes = dict(record.meshes)
-        if not found.lost:
+        if not found.lost or (enough is not None and enough(best)):
             break
     assert best is not None
     record.meshes |= meshes
@@ -180,13 +181,20 @@ def _press_profile(
     return press
 
 
-def _press_to_target(scene: Scene, device: str, progress: Progress | None, record: Record, throw: bool, draws: int) -> Deformation:
+def _press_to_target(
+    scene: Scene,
+    device: str,
+    progress: Progress | None,
+    record: Record,
+    throw: bool,
+    enough: Callable[[Deformation], bool] | None,
+) -> Deformation:
     """`press` at the cheapest fidelity whose error estimate meets the scene's target; record.choices says which and why."""
     from gelsim import fidelity
     from gelsim.reductions import choose_reduction
 
     def solve(name: str) -> Deformation:
-        return press(_at(scene, name), device=device, progress=progress, record=record, throw=throw, draws=draws)
+        return press(_at(scene, name), device=device, progress=progress, record=record, throw=throw, enough=enough)
 
     assert not isinstance(scene.target_error, str)
     target = fidelity.Target(scene.target_error, scene.target_membrane_um)

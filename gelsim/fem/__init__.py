@@ -85,6 +85,7 @@ def solve_press(
     *,
     device: str = "auto",
     progress: Callable[[int, int], None] | None = None,
+    enough: Callable[[Deformation], bool] | None = None,
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
@@ -102,13 +103,14 @@ def solve_press(
         placement: Rotation (3, 3) and translation (3,) [m] that bring it to first touch.
         device: "auto" and "cpu" run here; "cuda" solves on the GPU (as a batch of one), or without cuDSS only assembles there.
         progress: Called with (states recorded, states wanted).
+        enough: Whether a press has got so far that it need not begin at rest again, should it end; tries that go on it has still.
     """
     quiet_warp()
     from gelsim.fem.batch import run_batch
     from gelsim.fem.quasistatic import run_press
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    tries = _tries(scene, gel.symmetry)
+    tries = _tries(scene, gel.symmetry, enough)
     way, course = next(tries)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
@@ -123,7 +125,9 @@ def solve_press(
             return end.value
 
 
-def _tries(scene: Scene, symmetry: frozenset[str]) -> Generator[tuple[Try, Course], Deformation, Deformation]:
+def _tries(
+    scene: Scene, symmetry: frozenset[str], enough: Callable[[Deformation], bool] | None = None
+) -> Generator[tuple[Try, Course], Deformation, Deformation]:
     """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
 
     Where the approach of a force was found in several tries, all begin again to record the way there.
@@ -134,6 +138,8 @@ def _tries(scene: Scene, symmetry: frozenset[str]) -> Generator[tuple[Try, Cours
     while left:
         way, *left = left
         if not way.goes_on:
+            if best is not None and enough is not None and enough(best):
+                break
             course.before, turns = None, []
         elif course.before is None:
             continue

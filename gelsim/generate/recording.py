@@ -34,7 +34,8 @@ STATES = 8
 LONGEST = 60
 """Frames of a slow robot's press at most."""
 ENOUGH = 0.6
-"""Of the wanted depth or force, whichever is nearer, at which a press that finds no equilibrium further on is kept as it is."""
+"""Of the wanted depth or force, whichever is nearer, at which a press that finds no equilibrium further on is kept as it is, and does not
+begin again."""
 RADII = ("hemisphere", "cylinder", "punch", "tube", "shell", "tomato", "cone", "frustum", "torus")
 """Shapes that have a radius_mm."""
 
@@ -88,8 +89,8 @@ def solve(press: Press, device: str = "cpu") -> Solved:
     record = pipeline.Record()
     where = device if solves_on_gpu() else "cpu"
     try:
-        # a plan has other presses, and this one may have gone far enough as it is
-        solved = pipeline.press(resolved(press.scene), device=where, record=record, throw=False, draws=1)
+        scene = resolved(press.scene)
+        solved = pipeline.press(scene, device=where, record=record, throw=False, enough=lambda found: far_enough(found, scene))
     except (MeshingError, SolveError, SceneError) as error:
         raise PressFailed(type(error).__name__, str(error)) from error
     motion = checked(solved, press.scene)
@@ -99,7 +100,7 @@ def solve(press: Press, device: str = "cpu") -> Solved:
 
 def checked(solved: Deformation, scene: Scene) -> Motion:
     """The motion of a press that went to its end, or as far as there was an equilibrium and `ENOUGH` of the way. Raises PressFailed."""
-    if solved.status is not SolveStatus.CONVERGED and share_of_way(solved, scene) < ENOUGH:
+    if solved.status is not SolveStatus.CONVERGED and not far_enough(solved, scene):
         raise PressFailed(solved.status.name, solved.message)
     motion = Motion.of_press(solved)
     if not all(np.isfinite(part).all() for part in (motion.displacement, motion.force)):
@@ -111,12 +112,12 @@ def checked(solved: Deformation, scene: Scene) -> Motion:
     return motion
 
 
-def share_of_way(solved: Deformation, scene: Scene) -> float:
-    """How near the last state is to what ends the press: its depth or its force, the nearer."""
+def far_enough(solved: Deformation, scene: Scene) -> bool:
+    """Whether the last state is `ENOUGH` of what ends the press: its depth or its force, the nearer."""
     press = scene.press
     assert press.depth_mm is not None, "a plan gives every press a depth"
     by_depth = float(solved.approach[-1]) / MM / press.depth_mm
-    return by_depth if press.force_n is None else max(by_depth, float(-solved.force[-1, 2]) / press.force_n)
+    return by_depth >= ENOUGH or (press.force_n is not None and float(-solved.force[-1, 2]) >= ENOUGH * press.force_n)
 
 
 def resolved(scene: Scene) -> Scene:

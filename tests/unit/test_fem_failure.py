@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -376,18 +378,19 @@ def test_a_search_for_a_force_records_its_own_way() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ends", "draws", "kept", "meshed"),
+    ("ends", "enough_mm", "kept", "meshed"),
     [
-        (["lost far", "there"], 2, "there", [0, 1]),
-        (["there"], 2, "there", [0]),
-        (["lost far", "lost near"], 2, "lost far", [0, 1]),
-        (["lost near", "lost far"], 2, "lost far", [0, 1]),
-        (["lost far"], 1, "lost far", [0]),
-        (["lost far", "no mesh"], 2, "lost far", [0, 1]),
+        (["lost far", "there"], None, "there", [0, 1]),
+        (["there"], None, "there", [0]),
+        (["lost far", "lost near"], None, "lost far", [0, 1]),
+        (["lost near", "lost far"], None, "lost far", [0, 1]),
+        (["lost far"], 0.7, "lost far", [0]),
+        (["lost near", "there"], 0.7, "there", [0, 1]),
+        (["lost far", "no mesh"], None, "lost far", [0, 1]),
     ],
 )
 def test_a_lost_press_gets_another_mesh(
-    ends: list[str], draws: int, kept: str, meshed: list[int], deformation: Deformation, monkeypatch: pytest.MonkeyPatch
+    ends: list[str], enough_mm: float | None, kept: str, meshed: list[int], deformation: Deformation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mesh that the report tells of is that of the press that is kept; planted: the first press is lost."""
     made = {
@@ -407,34 +410,58 @@ def test_a_lost_press_gets_another_mesh(
     monkeypatch.setattr(pipeline, "_bodies", bodies)
     monkeypatch.setattr(gelsim.fem, "solve_press", lambda *_, **__: made[ends[len(asked) - 1]])
     record, scene = pipeline.Record(), build_scene({"press": {"depth_mm": 0.5, "symmetry": "mirror"}})
-    press = pipeline.press(scene, record=record, draws=draws)
+    enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
+    press = pipeline.press(scene, record=record, enough=enough)
     assert press is made[kept] and asked == meshed
     assert record.meshes["object"]["elements"] == ends.index(kept)
     said = str(press.info.get("warnings"))
     assert ("drawn anew" in said) is (ends.index(kept) > 0) and ("could not be given another" in said) is ("no mesh" in ends)
     asked.clear()
-    pipeline.press(scene.replace(object=replace(scene.object, rigid=True)), draws=draws)
+    pipeline.press(scene.replace(object=replace(scene.object, rigid=True)))
     assert asked == [0]  # a rigid one has no tets
 
 
-class _Enough(Exception):
+class _Asked(Exception):
     """What is asked for next is all that a test wants to know."""
 
 
 @pytest.mark.parametrize("target", [{}, {"target_error": 0.05}])
-def test_how_many_meshes_a_press_may_have_comes_through(target: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    def solid(*given: object) -> Deformation:
-        raise _Enough(given[-1])
+def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "_bodies", lambda *_: (0, 0, 0))
 
-    monkeypatch.setattr(pipeline, "_press_solid", solid)
-    with pytest.raises(_Enough, match="7"):
-        pipeline.press(build_scene({"press": {"symmetry": "mirror"}} | target), draws=7)
+    def solve_press(*_: object, enough: Callable[[Deformation], bool] | None, **__: object) -> None:
+        raise _Asked(enough)
+
+    def enough(_: Deformation) -> bool:
+        return True
+
+    monkeypatch.setattr(gelsim.fem, "solve_press", solve_press)
+    with pytest.raises(_Asked) as asked:
+        pipeline.press(build_scene({"press": {"symmetry": "mirror"}} | target), enough=enough)
+    assert asked.value.args == (enough,)
+
+
+@pytest.mark.parametrize("enough_mm", [None, 0.3, 3.0])
+def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float | None, deformation: Deformation) -> None:
+    """Its tries that go on it has: of this soft object with friction three, and then those from rest, if it had to."""
+    scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
+    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
+    enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
+    tries, made = gelsim.fem._tries(scene, frozenset("xy"), enough), []  # pyright: ignore[reportPrivateUsage]
+    way, course = next(tries)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            made.append(way.goes_on)
+            course.before = course.before or SimpleNamespace(approach=0.0)  # type: ignore[assignment]
+            way, course = tries.send(lost)
+    assert end.value.value is lost
+    assert made == [False, True, True, True] + ([] if enough_mm == 0.3 else [False, True, True, False])
 
 
 def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     def mesh_object(*_: object, drawn_before: int) -> None:
-        raise _Enough(drawn_before)
+        raise _Asked(drawn_before)
 
     monkeypatch.setattr("gelsim.meshing.mesh_object", mesh_object)
-    with pytest.raises(_Enough, match="5"):
+    with pytest.raises(_Asked, match="5"):
         pipeline._bodies(build_scene({}), frozenset(), pipeline.Record(), 5)  # pyright: ignore[reportPrivateUsage]
