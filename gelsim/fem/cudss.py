@@ -3,9 +3,6 @@
 Plain pivots, as for PARDISO (linear.py): with -C < 0 the matrices are quasi-definite. No matching either, which cuDSS 1.0 does by itself
 for a batch of one, by the values at the analysis: here there are none yet; presses that failed at first touch did not do so for that
 (docs/mechanics.md §3, frozen points beside a rim). A mask says which of the batch a call is for.
-
-Of processes that share a GPU one at a time finds where its factors' entries are: two that did at once are suspected to wait for each other
-for ever (docs/datasets.md, *What stands still*).
 """
 
 from __future__ import annotations
@@ -14,12 +11,8 @@ import ctypes
 import glob
 import os
 import sysconfig
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from ctypes import c_int, c_int64, c_size_t, c_void_p
 from ctypes.util import find_library
-from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -28,7 +21,7 @@ from numpy.typing import NDArray
 # cudss.h and cudss_data_types.h of version 0.8 and 1.0; 32-bit indices and 64-bit reals by CUDA's library_types.h
 _MATCHING, _PIVOT_TYPE, _UBATCH_SIZE, _MATCHING_NONE, _PIVOT_NONE = 3, 7, 18, 0, 1
 _LU_NNZ, _INERTIA, _UBATCH_MASK = 1, 3, 25
-_REORDERING, _SYMBOLIC, _FACTORIZATION, _REFACTORIZATION, _SOLVE = 1, 2, 4, 8, 1008
+_ANALYSIS, _FACTORIZATION, _REFACTORIZATION, _SOLVE = 3, 4, 8, 1008
 _REAL_64, _INT_32 = 1, 10
 _SYMMETRIC, _UPPER, _BASE_ZERO, _COLUMN_MAJOR = 1, 2, 0, 0
 
@@ -41,19 +34,6 @@ def find_cudss() -> str | None:
         for path in sorted(glob.glob(os.path.join(folder, "nvidia", "*", "lib", "libcudss.so*")), key=len):
             return path
     return find_library("cudss")
-
-
-@contextmanager
-def _alone(device: str) -> Iterator[None]:
-    """While no other process of this user is in here for this GPU: waits for it, and a process that is killed lets go."""
-    try:
-        import fcntl
-    except ImportError:  # Windows, which has no MPS
-        yield
-        return
-    with (Path(tempfile.gettempdir()) / f"gelsim-{os.getuid()}-{wp.get_device(device).uuid}.lock").open("a") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        yield
 
 
 class CudssBatch:
@@ -109,10 +89,7 @@ class CudssBatch:
         values, vector = (wp.zeros(self.count * k, dtype=wp.float64, device=self.device) for k in (entries, n))
         for matrix, array in ((self._matrix, values), (self._right, vector), (self._left, vector)):
             self._place(matrix, array)
-        self._execute(_REORDERING)
-        with _alone(self.device):
-            self._execute(_SYMBOLIC)
-            wp.synchronize_device(self.device)
+        self._execute(_ANALYSIS)
         self._factored = False
         self.factor_entries = int(self._get(_LU_NNZ, 1, np.int64)[0])
 

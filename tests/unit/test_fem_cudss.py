@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from multiprocessing import get_context
-from pathlib import Path
-from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
@@ -45,14 +42,12 @@ def test_only_what_has_changed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cudss, "find_cudss", lambda: "nowhere/libcudss.so")
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: library)
     monkeypatch.setattr(wp, "get_stream", lambda _: SimpleNamespace(cuda_stream=0))
-    monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(uuid="none"))
-    monkeypatch.setattr(wp, "synchronize_device", lambda _: None)
     solver = cudss.CudssBatch(2, "cpu")
     indptr, indices = np.array([0, 2, 3], np.int32), np.array([0, 1, 1], np.int32)
     both, first = np.array([True, True]), np.array([True, False])
     for _ in range(2):  # a new pattern has new matrices, of which nothing is known
         solver.analyse(indptr, indices)
-        assert library.told()[-7:] == ["DataSet", "MatrixSetValues", "MatrixSetValues", "MatrixSetValues", "Execute", "Execute", "DataGet"]
+        assert library.told()[-6:] == ["DataSet", "MatrixSetValues", "MatrixSetValues", "MatrixSetValues", "Execute", "DataGet"]
         solver.factorise(values, both)
         assert library.told() == ["MatrixSetValues", "Execute"]
         solver.solve(b, x, both)
@@ -65,39 +60,3 @@ def test_only_what_has_changed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         assert library.told() == ["Execute"]
         solver.factorise(other, both)
         assert library.told() == ["DataSet", "MatrixSetValues", "Execute"]
-
-
-def _hold(path: str, held: Any, go_on: Any) -> None:
-    import fcntl
-
-    with open(path, "w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        held.set()
-        go_on.wait(60)
-
-
-def test_processes_of_one_gpu_wait_for_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not for those of another; one that is killed in there holds nobody up."""
-    monkeypatch.setattr(cudss.tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr(wp, "get_device", lambda name: SimpleNamespace(uuid=name))
-    entered: list[str] = []
-
-    def enter(device: str) -> None:
-        with cudss._alone(device):  # pyright: ignore[reportPrivateUsage]
-            entered.append(device)
-
-    enter("one")
-    (lock,) = tmp_path.iterdir()
-    context = get_context("spawn")
-    held, go_on = context.Event(), context.Event()
-    other = context.Process(target=_hold, args=(str(lock), held, go_on))
-    other.start()
-    assert held.wait(60)
-    waiting = Thread(target=enter, args=("one",), daemon=True)
-    waiting.start()
-    enter("two")
-    waiting.join(0.2)
-    assert entered == ["one", "two"] and waiting.is_alive()
-    other.kill()
-    waiting.join(60)
-    assert entered == ["one", "two", "one"]
