@@ -92,3 +92,6 @@ class _Actor:
 
     def end(self) -> None:
         self._ray.kill(self._actor)
+
+    def gone(self) -> None:
+        """Ray gives what it held to others when it is free."""

@@ -6,10 +6,11 @@ SECONDS, is replaced; a process whose parent is gone ends itself. Results do not
 are.
 
 A worker that ends, or all that stand still at once, need not be their pieces' fault: of processes that share a GPU one's illegal access
-ends all, and all were seen to stand still. Their pieces are put back behind the others; one that was in that LIVES - 1 times is done at the
-end, while nobody else works whom it could take along, and is listed as lost if that fails too. No piece is charged for a worker that never
-began (a GPU's server takes no new clients for some seconds after others were killed): it is started anew, after a pause. Only when nobody
-works, none has begun for PATIENCE, and every place has been tried, the work ends.
+ends all, and all were seen to stand still. All are replaced then, for the GPU's server takes nobody new before the last old one is gone.
+Their pieces are put back behind the others; one that was in that LIVES - 1 times is done at the end, while nobody else works whom it could
+take along, and is listed as lost if that fails too. No piece is charged for a worker that never began (a GPU's server takes no new clients
+for some seconds after others were killed): it is started anew, after a pause. Only when nobody works, none has begun for PATIENCE, and
+every place has been tried, the work ends.
 """
 
 from __future__ import annotations
@@ -44,8 +45,13 @@ QUIET, TIMES = 20.0, 40.0
 """The same of at least SECONDS / STILL workers that have all begun, while more is handed out: so many seconds, or so many times the mean
 from one answer to the next, by what the last pieces took. On one H100 32 workers stood still every few minutes (docs/datasets.md)."""
 
+TOGETHER = 5.0
+"""Seconds within which two workers that share a GPU end of one fault: the others are about to."""
+
 SLEEP_WHILE_WAITING = 4
 """CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
+GONE = 1.0
+"""Seconds that a process which was ended is waited for: off a GPU whose server has failed one may never get, and all the others waited."""
 LIVES = 3
 """Workers that may end, or stand still with all others, over one piece; the last one's end is told."""
 MPS_SHARE = "CUDA_MPS_ACTIVE_THREAD_PERCENTAGE"
@@ -77,7 +83,10 @@ class Worker(Protocol):
         """What it made, once it is ready; the first time only that it has begun. Raises Died."""
 
     def end(self) -> None:
-        """Ends it, whatever it is at."""
+        """Ends it, whatever it is at; returns at once."""
+
+    def gone(self) -> None:
+        """Waits until it has let go of what it held, or for GONE."""
 
 
 class Crew(Protocol):
@@ -138,13 +147,15 @@ class _Process:
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
-            self.process.join(10.0)
+            self.process.join(GONE)
             raise Died(f"its process ended with code {self.process.exitcode}") from None
 
     def end(self) -> None:
         self.process.kill()
-        self.process.join()
         self.pipe.close()
+
+    def gone(self) -> None:
+        self.process.join(GONE)
 
 
 @dataclass
@@ -176,14 +187,14 @@ def work_through(
     Args:
         make: A function of a module that makes, from `arguments`, what does the work; called once in each worker.
         lost: Says what becomes of a handful (status, message) whose workers died or took too long.
-        still: Whether all are replaced when nobody answers for long (STILL, QUIET): for workers that share a GPU.
+        still: Whether all are replaced when nobody answers for long (STILL, QUIET), or two end TOGETHER: for workers that share a GPU.
     Raises:
         WorkError: Workers end before they begin.
     """
     left, alone, troubles = deque(handfuls), deque[Handful](), Counter[Handful]()
     places: list[_Place] = []
     unborn, since_unborn, failed = Counter[int](), 0.0, ""  # by place, since the last answer
-    answered = time.monotonic()
+    answered, deaths = time.monotonic(), deque[float](maxlen=2)
     took, slowest = deque[float](maxlen=100), 0.0  # seconds of the last pieces of this crew; of any piece
     try:
         for number in range(min(crew.count, len(left))):
@@ -200,17 +211,24 @@ def work_through(
             ready = crew.ready([place.worker for place in busy], timeout=1.0)
             now = time.monotonic()
             quiet = 0.0 if ready else now - answered
-            stand_still = still and quiet > max(_allowed(busy, took), 0.0 if left else 2.0 * slowest)
-            if stand_still:
-                for place in busy:  # all of them before the first begins anew: what they share is free then
-                    place.worker.end()
+            all_of_them = None
+            if still and len(deaths) == 2 and deaths[1] - deaths[0] < TOGETHER:
+                all_of_them = "DIED", "others that share its GPU ended"
+            elif still and quiet > max(_allowed(busy, took), 0.0 if left else 2.0 * slowest):
+                all_of_them = "TIMEOUT", f"no worker answered for {quiet:.0f} s"
+            if all_of_them:  # who has answered is heard first
+                _end([place for place in places if place.again is None and place.worker not in ready])
             for number, place in enumerate(places):
-                handful, trouble, innocent = place.handful, None, True
+                if place.again is not None:
+                    continue
+                trouble, innocent = all_of_them, True
                 if place.busy and place.worker in ready:
                     try:
                         done = place.worker.take()
                     except Died as died:
                         trouble = "DIED", str(died)
+                        if place.begun:
+                            deaths.append(now)
                     else:
                         answered = time.monotonic()
                         unborn.clear()
@@ -220,37 +238,41 @@ def work_through(
                             place.handful = None
                             yield done
                         place.begun = True
-                elif place.busy and stand_still:
-                    trouble = "TIMEOUT", f"no worker answered for {quiet:.0f} s"
                 elif place.busy and now - place.since > SECONDS:
                     trouble, innocent = ("TIMEOUT", f"not done after {SECONDS:g} s"), False
                 if trouble:
-                    place.worker.end()
-                    place.handful, place.again = None, now
-                    if handful is None:
+                    _end([place])
+                    handful, place.handful, place.again = place.handful, None, now + PAUSE
+                    if handful is not None:
+                        troubles[handful] += 1
+                        if not innocent or troubles[handful] == LIVES:
+                            yield lost(handful, *trouble)
+                        else:
+                            (alone if troubles[handful] == LIVES - 1 else left).append(handful)
+                    elif not place.begun:
                         since_unborn = since_unborn if unborn else now
                         unborn[number] += 1
-                        failed, place.again = trouble[1], now + PAUSE
-                        continue
-                    troubles[handful] += 1
-                    if not innocent or troubles[handful] == LIVES:
-                        yield lost(handful, *trouble)
-                    else:
-                        (alone if troubles[handful] == LIVES - 1 else left).append(handful)
-                elif (
-                    place.again is None and not place.busy and (left or (alone and not any(other.handful is not None for other in places)))
-                ):
+                        failed = trouble[1]
+                elif not place.busy and (left or (alone and not any(other.handful is not None for other in places))):
                     place.handful, place.since = (left or alone).popleft(), time.monotonic()
                     place.worker.give(place.handful)
-            if stand_still or all(place.again is not None for place in places):  # who begins anew may take as long as at first
+            if all(place.again is not None for place in places):  # who begins anew may take as long as at first
                 answered = time.monotonic()
                 took.clear()
+                deaths.clear()
             nobody = not any(place.handful is not None for place in places) and len(unborn) == len(places)
             if (left or alone) and nobody and unborn.total() >= STARTS and now - since_unborn > PATIENCE:
                 raise WorkError(f"{unborn.total()} workers ended before they had begun; the last: {failed}")
     finally:
-        for place in places:
-            place.worker.end()
+        _end(places)
+
+
+def _end(some: Sequence[_Place]) -> None:
+    """Ends their workers: all before the first is waited for, as a process may not get off a GPU before those that share it are gone."""
+    for place in some:
+        place.worker.end()
+    for place in some:
+        place.worker.gone()
 
 
 def _allowed(busy: Sequence[_Place], took: Sequence[float]) -> float:
