@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim import materials, pipeline
+from gelsim.bench.accuracy import reference_table
 from gelsim.bench.presses import ball, hemisphere
 from gelsim.fem import touching
 from gelsim.fem.planar.problem import PlanarProblem
@@ -78,8 +79,9 @@ def compare(draws: int) -> None:
     touching._by_gap = told
     with (assets_folder() / "reference" / "contact_radius.csv").open() as file:
         known = {(row["nu"], row["object_modulus_kPa"], row["approach_mm"]): row for row in csv.DictReader(file)}
+    other = {(row["nu"], row["object_modulus_kPa"], row["approach_mm"]): row["force_N"] for row in reference_table("hemisphere_force.csv")}
     for fidelity in ("fast", "balanced", "reference"):
-        radii, forces, apart = [], [], []
+        radii, forces, others, apart = [], [], [], []
         for _ in range(draws):
             of_draw: list[Array] = []
             with TemporaryDirectory() as cache, in_environment({"GELSIM_CACHE": cache}):
@@ -92,12 +94,16 @@ def compare(draws: int) -> None:
                     known_mm = np.array([float(row["contact_radius_mm"]) for row in rows])
                     apart.append(100 * (np.sqrt(4 * np.array(seen[-len(rows) :]) / np.pi) / known_mm[:, None] - 1))
                     forces.append(100 * (-press.force[1:, 2] / [float(row["force_N"]) for row in rows] - 1))
+                    theirs = [other[0.499, modulus, round(float(row["approach_mm"]), 4)] for row in rows]
+                    others.append(100 * (-press.force[1:, 2] / theirs - 1))
             radii.append(np.concatenate(of_draw))
         largest = [round(float(np.abs(of_draw).max()), 1) for of_draw in radii]
         rms, force = (float(np.sqrt(np.mean(np.square(radii)))), float(np.abs(forces).max()))
         points, gap = np.sqrt(np.mean(np.square(np.concatenate(apart)), axis=0))
         told_apart = f"(by points {points:.2f}, by the gap {gap:.2f})"
-        print(f"{fidelity}: radius {rms:.2f} % RMS {told_apart}, largest of each draw {largest} %; force {force:.2f} % at most", flush=True)
+        theirs = float(np.abs(others).max())
+        print(f"{fidelity}: radius {rms:.2f} % RMS {told_apart}, largest of each draw {largest} %; force {force:.2f} % at most", end=", ")
+        print(f"{theirs:.2f} % off the other code's", flush=True)
 
 
 if __name__ == "__main__":
