@@ -93,5 +93,5 @@ class _Actor:
     def end(self) -> None:
         self._ray.kill(self._actor)
 
-    def gone(self) -> None:
+    def gone(self, until: float) -> None:
         """Ray gives what it held to others when it is free."""

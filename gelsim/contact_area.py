@@ -24,7 +24,8 @@ _ALONG = 5.0
 EARLY = 0.25
 """Share of the depth within which a press begins: a ball has half its radius of contact then (docs/meshing.md, *Where a press begins*)."""
 SMALL = 0.6
-"""Share of the length, and of the width, touched in the end within which a press begins at a point: of a ball or a cone, not of a rod."""
+"""Share of the length, and of the width, touched in the end within which a press begins at a point: of a ball or a cone, on a dome of a
+rod or a flat too."""
 
 
 @lru_cache(maxsize=4)
@@ -78,10 +79,12 @@ def core(scene: Scene, edge: float, of_object: bool) -> tuple[Array, float]:
     """
     sizes = SIZES[scene.fidelity]
     size = max(sizes.core * edge, sizes.finest)
+    if size >= edge:
+        return np.zeros((0, 3)), size
     early, whole = (_overlapping(scene, share * press_depth(scene))[0 if of_object else 1] for share in (EARLY, 1.0))
     low, high = early[:, :2].min(axis=0), early[:, :2].max(axis=0)
     half = np.maximum((high - low) / 2, 0.5 * size)
-    if size >= edge or (2 * half > SMALL * np.ptp(whole[:, :2], axis=0)).any():
+    if (2 * half > SMALL * np.ptp(whole[:, :2], axis=0)).any():
         return np.zeros((0, 3)), size
     lines = [np.linspace(-h, h, 1 + int(np.ceil(2 * h / (0.5 * size)))) for h in half]
     disc = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -125,8 +125,8 @@ def mesh_object(
     rims = cut_pieces(sharp_edges(body), min(edge, sizes.rim))
     reach = np.minimum(area.high, np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3))  # beside the gel, or at its border, no rim presses
     rims = rims[((rims[..., 2] < 1.5 * press_depth(scene)) & (np.abs(rims[..., :2]) <= reach).all(axis=-1)).all(axis=1)]
-    near = _seams(body, shape, within, sizes), core(centred, edge, of_object=True)
-    field = contact_field(*box, edge, sizes, far, rims, *near)
+    seams, thin = _seams(body, shape, within, sizes)
+    field = contact_field(*box, edge, sizes, far, rims, (seams, min(edge, thin)), core(centred, edge, of_object=True))
     inner: list[TriMesh] = []
     if surface is None:
         assert shape is not None
@@ -134,7 +134,8 @@ def mesh_object(
             TriMesh(*solid_surface(each, np.inf, lambda points: _CHORD * field(points))[:2]) for each in (shape, *(i.shape for i in within))
         )
     label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
-    envelope = (_OF_FACETS if shape is None else sizes.envelope) * min(field.smallest, sizes.rim)
+    smallest = min(field.smallest, np.inf if len(seams) else sizes.rim)
+    envelope = (_OF_FACETS if shape is None else sizes.envelope) * smallest
     mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)), drawn_before)
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh

@@ -51,7 +51,7 @@ TOGETHER = 5.0
 SLEEP_WHILE_WAITING = 4
 """CU_CTX_SCHED_BLOCKING_SYNC of cuda.h."""
 GONE = 1.0
-"""Seconds that a process which was ended is waited for: off a GPU whose server has failed one may never get, and all the others waited."""
+"""Seconds that processes which were ended are waited for: off a GPU whose server has failed one may never get, and all others waited."""
 LIVES = 3
 """Workers that may end, or stand still with all others, over one piece; the last one's end is told."""
 MPS_SHARE = "CUDA_MPS_ACTIVE_THREAD_PERCENTAGE"
@@ -85,8 +85,8 @@ class Worker(Protocol):
     def end(self) -> None:
         """Ends it, whatever it is at; returns at once."""
 
-    def gone(self) -> None:
-        """Waits until it has let go of what it held, or for GONE."""
+    def gone(self, until: float) -> None:
+        """Waits until it has let go of what it held, or for that moment of the monotonic clock."""
 
 
 class Crew(Protocol):
@@ -154,8 +154,10 @@ class _Process:
         self.process.kill()
         self.pipe.close()
 
-    def gone(self) -> None:
-        self.process.join(GONE)
+    def gone(self, until: float) -> None:
+        self.process.join(max(until - time.monotonic(), 0.0))
+        if self.process.exitcode is None:  # Python would wait for it at its own end
+            multiprocessing.process._children.discard(self.process)  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @dataclass
@@ -187,7 +189,8 @@ def work_through(
     Args:
         make: A function of a module that makes, from `arguments`, what does the work; called once in each worker.
         lost: Says what becomes of a handful (status, message) whose workers died or took too long.
-        still: Whether all are replaced when nobody answers for long (STILL, QUIET), or two end TOGETHER: for workers that share a GPU.
+        still: Whether all are replaced when nobody answers for long (STILL, QUIET), or two end TOGETHER, each over a piece that ended none
+            before: for workers that share a GPU. Those of several GPUs count as of one.
     Raises:
         WorkError: Workers end before they begin.
     """
@@ -227,8 +230,8 @@ def work_through(
                         done = place.worker.take()
                     except Died as died:
                         trouble = "DIED", str(died)
-                        if place.begun:
-                            deaths.append(now)
+                        if place.handful is not None and not troubles[place.handful]:  # a piece that ends its worker says nothing again
+                            deaths.append(time.monotonic())
                     else:
                         answered = time.monotonic()
                         unborn.clear()
@@ -241,7 +244,8 @@ def work_through(
                 elif place.busy and now - place.since > SECONDS:
                     trouble, innocent = ("TIMEOUT", f"not done after {SECONDS:g} s"), False
                 if trouble:
-                    _end([place])
+                    if not all_of_them or place.worker in ready:
+                        _end([place])
                     handful, place.handful, place.again = place.handful, None, now + PAUSE
                     if handful is not None:
                         troubles[handful] += 1
@@ -271,8 +275,9 @@ def _end(some: Sequence[_Place]) -> None:
     """Ends their workers: all before the first is waited for, as a process may not get off a GPU before those that share it are gone."""
     for place in some:
         place.worker.end()
+    until = time.monotonic() + GONE
     for place in some:
-        place.worker.gone()
+        place.worker.gone(until)
 
 
 def _allowed(busy: Sequence[_Place], took: Sequence[float]) -> float:

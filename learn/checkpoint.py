@@ -39,7 +39,7 @@ class Checkpoint:
     novelty: dict[str, Any] | None = None
     """`learn.novelty.Novelty` as tensors."""
     gels: dict[str, Any] | None = None
-    """`learn.novelty.GelRange` as tensors; None: of a training that knew no gel, or from before it was kept."""
+    """`learn.novelty.GelRange` as tensors; None: nobody told the gels of its presses, or it is from before this was kept."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Data, command, versions, seconds: text and numbers."""
 

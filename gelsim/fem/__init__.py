@@ -148,7 +148,7 @@ def _tries(
         press = yield way, course
         _note(press, scene, turns, number)
         if course.searched:
-            course.searched, left = False, ways(scene, symmetry)
+            course.searched, left, best = False, ways(scene, symmetry), None
             continue
         best = further(best, press)
         if not press.lost:

@@ -458,6 +458,23 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
     assert made == [False, True, True, True] + ([] if enough_mm == 0.3 else [False, True, True, False])
 
 
+def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(deformation: Deformation) -> None:
+    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
+    there = replace(deformation, info={"ended_by": PressEnd.FORCE})
+    scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
+    tries = gelsim.fem._tries(scene, frozenset("xy"), lambda _: True)  # pyright: ignore[reportPrivateUsage]
+    _, course = next(tries)
+    course.before = SimpleNamespace(approach=0.0)  # type: ignore[assignment]
+    way, _ = tries.send(lost)
+    assert way.goes_on
+    course.searched = True
+    way, _ = tries.send(there)
+    assert not way.goes_on, "all begin again to record the way"
+    with pytest.raises(StopIteration) as end:
+        tries.send(there)
+    assert end.value.value is there
+
+
 def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     def mesh_object(*_: object, drawn_before: int) -> None:
         raise _Asked(drawn_before)

@@ -166,7 +166,7 @@ def test_edges_follow_the_size_field(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_press_begins_at_a_point_or_it_does_not() -> None:
-    """Of balls and cones a small part is touched within a quarter of the depth; of a flat all, of a rod half."""
+    """Of balls and cones a small part is touched within a quarter of the depth; of a flat all, of a rod half, but on a dome."""
     begins = replace(scene("hemisphere", "flat", depth_mm=1.0), fidelity="balanced")
     points, size = core(begins, 0.4e-3, of_object=False)
     assert size == pytest.approx(0.28e-3)
@@ -177,6 +177,8 @@ def test_a_press_begins_at_a_point_or_it_does_not() -> None:
     assert len(core(replace(scene("cone", "flat"), fidelity="balanced"), 0.4e-3, of_object=True)[0])
     for shape in ("punch", "box", "cylinder", "edge"):
         assert not len(core(replace(scene(shape, "flat"), fidelity="balanced"), 0.4e-3, of_object=False)[0]), shape
+    for shape in ("box", "cylinder"):
+        assert len(core(replace(scene(shape, "dome", depth_mm=0.3), fidelity="balanced"), 0.4e-3, of_object=False)[0]), shape
     assert not len(core(replace(begins, fidelity="fast"), 0.4e-3, of_object=False)[0])
 
 

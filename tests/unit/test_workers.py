@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import random
 import threading
 import time
@@ -48,10 +49,10 @@ class Made:
     def end(self) -> None:
         self.ended = True
 
-    def gone(self) -> None:
+    def gone(self, until: float) -> None:
         assert self.ended
         if self.crew.lingers is not None and self.crew.lingers(self):
-            self.crew.now += workers.GONE
+            self.crew.now = max(self.crew.now, until)
 
 
 @dataclass
@@ -204,6 +205,14 @@ def test_two_that_end_without_sharing_anything_end_nobody_else(run: Callable) ->
     assert lost == {20: "DIED", 21: "DIED"} and len(crew.started) <= 8 + 2 * workers.LIVES
 
 
+@pytest.mark.parametrize("count", [4, 8, 32])
+def test_pieces_that_end_their_workers_take_no_other_along(count: int, run: Callable) -> None:
+    """They come back next to each other, alone at last, and are no fault of what workers share."""
+    bad = {5: ("died", 1.0), 6: ("died", 1.0)} | {n: ("died", 0.5) for n in range(40, 300, 30)}
+    done, lost = run(Crew(count, takes(3.0, other=bad)), 300)
+    assert set(lost) == set(bad)
+
+
 def test_who_never_lets_go_holds_nobody_up(run: Callable) -> None:
     """As above, and nine of the old ones stay where they are; of those that share with them none is waited for while another is at work."""
 
@@ -216,19 +225,19 @@ def test_who_never_lets_go_holds_nobody_up(run: Callable) -> None:
 
     crew = Crew(32, says, lingers=lingers)
     done, lost = run(crew, 2000)
-    assert not lost and len(crew.started) == 64 and crew.now < 2000 / 32 * 8.0 + 3.0 + 8.0 + 21.0 + 2 * 3.0 + 8.0 + 2 * 9 * workers.GONE
+    assert not lost and len(crew.started) == 64 and crew.now < 2000 / 32 * 8.0 + 3.0 + 8.0 + 21.0 + 2 * 3.0 + 8.0 + 2 * workers.GONE
 
 
 def test_a_process_that_does_not_end_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is held in the kernel on its way out; planted: killing does nothing."""
     process = LocalCrew(1).start(0, _sleeper, ())
     monkeypatch.setattr(process.process, "kill", lambda: None)
-    monkeypatch.setattr(workers, "GONE", 0.2)
     assert process.take() is None  # it has begun
     begun = time.monotonic()
     process.end()
-    process.gone()
+    process.gone(begun + 0.2)
     assert time.monotonic() - begun < 5.0 and process.process.is_alive()
+    assert process.process not in multiprocessing.active_children(), "at its end Python waits for those"
     process.process.terminate()
     process.process.join()
 
