@@ -19,8 +19,6 @@ from gelsim.units import MM
 
 _ALONG = 5.0
 """Twist [degrees] up to which a drawn object still lies along the long sides of tets: turned by it, 3 : 1 becomes 2.9 : 1.1."""
-
-
 EARLY = 0.25
 """Share of the depth within which a press begins: a ball has half its radius of contact then (docs/meshing.md, *Where a press begins*)."""
 SMALL = 0.6

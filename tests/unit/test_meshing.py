@@ -1,6 +1,6 @@
 """Meshes of the object: whole, graded, on the exact shape, grouped, cached; and what cannot be filled."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +36,28 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cache(_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("GELSIM_CACHE", str(_cache))
     yield _cache / "meshes"
+
+
+Wanted = Callable[[Scene], SizeField]
+
+
+@pytest.fixture
+def wanted(monkeypatch: pytest.MonkeyPatch) -> Wanted:
+    """The sizes that an object is to be filled with; nothing is filled."""
+
+    class _Enough(Exception):
+        """What was to be filled is all that is asked for."""
+
+    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
+        raise _Enough(field)
+
+    def of(given: Scene) -> SizeField:
+        with pytest.raises(_Enough) as asked:
+            mesh_object(given, progress=QUIET)
+        return asked.value.args[0]
+
+    monkeypatch.setattr(meshing, "_cached_fill", fill)
+    return of
 
 
 OBJECTS = [  # volume in mm³ by hand, of shapes 12 mm tall
@@ -142,22 +164,11 @@ def test_contact_on_one_side_is_meshed_there_alone() -> None:
     assert max(ends) > 2 * min(ends)
 
 
-def test_an_object_is_fine_where_its_press_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted: list[SizeField] = []
-
-    class _Enough(Exception):
-        """What was to be filled is all that is asked for."""
-
-    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
-        wanted.append(field)
-        raise _Enough
-
-    monkeypatch.setattr(meshing, "_cached_fill", fill)
+def test_an_object_is_fine_where_its_press_begins(wanted: Wanted) -> None:
     given = replace(scene("hemisphere", "flat", depth_mm=1.0), fidelity="balanced")
-    for press in (given.press, replace(given.press, offset_mm=(2.0, 0.0)), replace(given.press, tilt_deg=(0.0, 20.0))):
-        with pytest.raises(_Enough):
-            mesh_object(given.replace(press=press), progress=QUIET)
-    centred, beside, tilted = wanted
+    centred, beside, tilted = (
+        wanted(given.replace(press=replace(given.press, **moved))) for moved in ({}, {"offset_mm": (2.0, 0.0)}, {"tilt_deg": (0.0, 20.0)})
+    )
     apex, lowest = np.zeros(3), np.array([5e-3 * np.sin(np.radians(20.0)), 0.0, 5e-3 * (1 - np.cos(np.radians(20.0)))])
     assert centred(apex) < 0.9 * centred.contact and tilted(lowest) < 0.9 * tilted.contact
     assert centred(lowest) > 0.95 * centred.contact and tilted(apex) > 0.95 * tilted.contact
@@ -199,25 +210,15 @@ def test_cache_returns_the_same_mesh_and_mends_itself(cache: Path) -> None:
     assert not list(Path.cwd().glob("__tracked_surface*"))  # what fTetWild leaves in its working folder
 
 
-def test_fast_presses_of_nearly_the_same_depth_share_an_objects_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fast_presses_of_nearly_the_same_depth_share_an_objects_mesh(wanted: Wanted) -> None:
     """Both contacts, of radius √(2 R d), are of one class; so are the halves of both depths, 0.725 and 0.75 mm."""
-    wanted: list[SizeField] = []
-
-    class _Enough(Exception):
-        """What was to be filled is all that is asked for."""
-
-    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
-        wanted.append(field)
-        raise _Enough
-
-    monkeypatch.setattr(meshing, "_cached_fill", fill)
-    for depth in (1.45, 1.5):
-        for fidelity in ("fast", "balanced"):
-            with pytest.raises(_Enough):
-                mesh_object(replace(scene("hemisphere", depth_mm=depth), fidelity=fidelity), progress=QUIET)
-    fast, balanced, other_fast, other_balanced = (field.settings() for field in wanted)
-    assert fast == other_fast and wanted[0].high[2] == pytest.approx(0.85e-3)
-    assert balanced != other_balanced
+    fast, balanced, other_fast, other_balanced = (
+        wanted(replace(scene("hemisphere", depth_mm=depth), fidelity=fidelity))
+        for depth in (1.45, 1.5)
+        for fidelity in ("fast", "balanced")
+    )
+    assert fast.settings() == other_fast.settings() and fast.high[2] == pytest.approx(0.85e-3)
+    assert balanced.settings() != other_balanced.settings()
 
 
 def test_an_object_with_much_in_contact_is_coarser_at_fast() -> None:
@@ -235,21 +236,11 @@ def test_an_object_with_much_in_contact_is_coarser_at_fast() -> None:
         assert edge(20e-3, 10e-3, SIZES[finer].most_cubes) == pytest.approx(OBJECT_COARSER * 1e-3)
 
 
-def test_dots_keep_their_edges_where_ridges_give_some_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[float] = []
-
-    class _Enough(Exception):
-        """What was to be filled is all that is asked for."""
-
-    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
-        asked.append(field.contact)
-        raise _Enough
-
-    monkeypatch.setattr(meshing, "_cached_fill", fill)
+def test_dots_keep_their_edges_where_ridges_give_some_up(wanted: Wanted) -> None:
+    asked = []
     for shape in ("wave", "emboss"):
         body = Body(shape=shape, shore_00=30.0, wavelength_mm=2.0, amplitude_mm=0.5)
-        with pytest.raises(_Enough):
-            mesh_object(Scene(object=body, press=Press(depth_mm=3.0), fidelity="fast"), frozenset("xy"), QUIET)
+        asked.append(wanted(Scene(object=body, press=Press(depth_mm=3.0), fidelity="fast")).contact)
     gel = 2e-3 / SIZES["fast"].divisions
     assert asked == pytest.approx([OBJECT_COARSEST * gel, OBJECT_COARSER * gel])
 
