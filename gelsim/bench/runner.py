@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from gelsim import pipeline
+from gelsim import fem, pipeline
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import GelsimError, SceneError, SolveStatus
@@ -112,6 +112,7 @@ def _measured(cases: list[tuple[str, Case]], options: Options, workers: int) -> 
 
 def _measure(name: str, case: Case) -> Row:
     row: Row = {"key": f"{name}/{case.name}", "section": name, "name": case.name}
+    fem.quiet_warp()
     try:
         return row | case.measure()
     except GelsimError as error:  # one case that cannot be is no reason to leave the others
