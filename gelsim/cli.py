@@ -124,6 +124,8 @@ def main(arguments: list[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             return OK
         except Exception as error:
+            if isinstance(error, OSError) and error.filename is not None:  # a folder that cannot be made, a full disk
+                return _fail(error, BAD_INPUT, debug, answer if wants_json else None, f"{error.filename}: {error.strerror}")
             hint = f"internal error, {type(error).__name__}: {error} (a bug; run again with --debug for the trace)"
             return _fail(error, INTERNAL, debug, answer if wants_json else None, hint)
 
@@ -149,8 +151,7 @@ def _parser() -> Parser:
     bench.add_argument("--data", metavar="DIR", help="folder of measured data (default: $GELSIM_DATA); sections without it say so")
     bench.add_argument("--limit", type=int, metavar="N", help="stop after N new cases; --resume goes on")
     bench.add_argument("--workers", type=int, default=1, metavar="N", help="processes, each on one thread (default: 1)")
-    bench.add_argument("--force", action="store_true", help="begin again in an existing folder")
-    bench.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
+    _add_again(bench)
     _add_output_flags(bench, _bench)
     calibrate = commands.add_parser("calibrate", help="fit a sensor's optics to photographs of a pressed ball", epilog=CALIBRATE_EXAMPLES)
     calibrate.add_argument("--photos", required=True, metavar="DIR", help="pictures, photos.toml and, if wanted, presses.csv")
@@ -204,8 +205,7 @@ def _parser() -> Parser:
     study.add_argument("--quick", action="store_true", help="the study's small form")
     study.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
     study.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
-    study.add_argument("--force", action="store_true", help="begin again in an existing folder")
-    study.add_argument("--resume", action="store_true", help="go on in an existing folder: cases that are done are kept")
+    _add_again(study)
     _add_output_flags(study, _study)
     optimise = commands.add_parser("optimise", help="the scene that is best by a metric, within bounds", epilog=OPTIMISE_EXAMPLES,
                                    usage="%(prog)s METRIC --within FIELD=LOW:HIGH [any field of the scene as a flag]")  # fmt: skip
@@ -219,8 +219,7 @@ def _parser() -> Parser:
     optimise.add_argument("--workers", type=int, default=1, metavar="N", help="processes for the samples (default: 1)")
     optimise.add_argument("--out", metavar="DIR", help="result folder (default: out/optimise-METRIC)")
     optimise.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
-    optimise.add_argument("--force", action="store_true", help="begin again in an existing folder")
-    optimise.add_argument("--resume", action="store_true", help="go on in an existing folder, also with more evaluations")
+    _add_again(optimise, resume="go on in an existing folder, also with more evaluations")
     add_scene_flags(optimise)
     _add_output_flags(optimise, _optimise)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
@@ -249,12 +248,24 @@ def _add_output_flags(parser: Parser, run: Callable[[argparse.Namespace], dict[s
     parser.add_argument("--debug", action="store_true", help="show the Python trace of an error")
 
 
+def _add_again(
+    parser: Parser,
+    force: str = "begin again in an existing folder",
+    resume: str = "go on in an existing folder: cases that are done are kept",
+) -> None:
+    """What to do with an --out that is there already."""
+    again = parser.add_mutually_exclusive_group()
+    again.add_argument("--force", action="store_true", help=force)
+    again.add_argument("--resume", action="store_true", help=resume)
+
+
 def _add_common(parser: Parser, run: Callable[[argparse.Namespace], dict[str, Any]]) -> None:
     parser.add_argument("--scene", metavar="FILE", help="start from a scene file (TOML)")
     parser.add_argument("--out", metavar="DIR", help="result folder (default: out/SHAPE-HARDNESS)")
-    parser.add_argument("--force", action="store_true", help="replace the results in an existing folder; other files in it stay")
-    parser.add_argument(
-        "--resume", action="store_true", help="go on in an existing folder of the same scene: a press there is not solved again"
+    _add_again(
+        parser,
+        force="replace the results in an existing folder; other files in it stay",
+        resume="go on in an existing folder of the same scene: a press there is not solved again",
     )
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
     _add_output_flags(parser, run)
@@ -311,6 +322,8 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
 
     if (options.path is None) == (options.sensor is None):
         raise SceneError("inspect: give a path, or --sensor NAME")
+    if options.out and Path(options.out).suffix.lower() != ".png":
+        raise SceneError(f"--out {options.out}: what is drawn is a .png")
     sensor = build_scene({"sensor": {"preset": options.sensor}}) if options.sensor else None
     facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit) if sensor is None else inspection.inspect_sensor(sensor)
     if options.html == "":
@@ -372,9 +385,12 @@ def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
 
 def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim import durometer
+    from gelsim.outputs import ResultFolder
 
     friction = _friction(options.friction)
     if options.modulus_kpa is None and options.shore is None:
+        if options.out:
+            ResultFolder(Path(options.out), resume=True)  # the whole scale takes minutes
         with progress_bars() as progress:
             rows = durometer.compare(options.scale, options.fidelity, progress=progress, foot=options.foot)
         if options.out:
@@ -382,6 +398,8 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
         if not options.json:
             print(durometer.summary(rows, options.scale))
         return {"scale": options.scale, "rows": rows}
+    if options.out:
+        raise SceneError("durometer: --out DIR goes with the whole scale, without --shore and --modulus-kpa")
     found: dict[str, Any] = {"scale": options.scale, "friction": options.friction, "foot": options.foot}
     if options.modulus_kpa is not None:
         if options.foot:
@@ -410,6 +428,8 @@ def _friction(text: str) -> float | str:
 
 
 def _dataset(options: argparse.Namespace) -> dict[str, Any]:
+    if sum(given is not None for given in (options.episodes, options.light_of, options.real)) > 1:
+        raise SceneError("dataset: --episodes N of a plan, --light-of DIR and --real DIR exclude each other")
     if options.test_episodes is not None and (options.light_of or options.real):
         raise SceneError("dataset: --test-episodes N goes with a plan")
     if options.real:

@@ -1,8 +1,9 @@
-"""A file is whole or not there: it is written under another name beside its own, and renamed at the end."""
+"""A file is whole or not there: it is written under another name beside its own, and renamed at the end. And whether it is the same."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,3 +25,12 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of what a file holds, in hex; nothing where it cannot be read: who needs it says so."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""

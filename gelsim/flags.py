@@ -78,7 +78,7 @@ def layer_of(options: argparse.Namespace) -> Layer:
     """The flags that were given, as a layer.
 
     Raises:
-        SceneError: --shore-scale without --shore.
+        SceneError: --shore-scale without --shore, or a hardness of what is rigid.
     """
     layer: Layer = {}
     for name, text in vars(options).items():
@@ -95,6 +95,9 @@ def layer_of(options: argparse.Namespace) -> Layer:
         layer.setdefault("object", {})[key] = parse_text(options.shore, float, "--shore")
     elif options.shore_scale is not None:
         raise SceneError(f"flag --shore-scale {options.shore_scale}: give the number too, --shore N")
+    body = layer.get("object", {})
+    if body.get("rigid") is True and (hardness := [name for name in ("shore_00", "shore_a", "youngs_modulus_kpa") if name in body]):
+        raise SceneError(f"flag --rigid: a rigid object has no hardness, and object.{hardness[0]} was given too")
     return layer
 
 

@@ -10,6 +10,8 @@ import numpy as np
 
 from gelsim.dataset import load_dataset
 from gelsim.errors import SceneError
+from gelsim.geometry import TriMesh
+from gelsim.mesh_file import compare_bodies
 from gelsim.outputs import plain_json, read_press
 from gelsim.results import Deformation
 from gelsim.scene import Scene
@@ -47,7 +49,8 @@ def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
     elif not path.exists():
         raise SceneError(f"{path}: there is no such file or folder")
     else:
-        raise SceneError(f"{path}: is none of what inspect reads: a result folder, a press.npz, an STL, OBJ or PLY file")
+        hint = "; a sensor file goes with --sensor" if path.suffix == ".toml" else ""
+        raise SceneError(f"{path}: is none of what inspect reads: a result folder, a press.npz, an STL, OBJ or PLY file{hint}")
     plain = plain_json({"path": str(path)} | facts)
     assert isinstance(plain, dict)
     return plain
@@ -161,6 +164,8 @@ def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
         raise SceneError(f"{path}: holds no triangles")
     scale = MESH_UNITS[unit] / MM
     edges, uses = np.unique(np.sort(np.asarray(mesh.edges), axis=1), axis=0, return_counts=True)
+    outward = bool(mesh.is_winding_consistent and mesh.volume > 0)
+    told = compare_bodies(TriMesh(mesh.vertices * scale * MM, mesh.faces)) if mesh.is_watertight and outward else None
     return {
         "unit": unit,
         "vertices": len(mesh.vertices),
@@ -169,9 +174,10 @@ def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
         "lowest_point_mm": np.asarray(mesh.vertices)[np.argmin(mesh.vertices[:, 2])] * scale,
         "watertight": bool(mesh.is_watertight),
         "open_edges": int((uses == 1).sum()),
-        "outward": bool(mesh.is_winding_consistent and mesh.volume > 0),
-        "volume_mm3": float(mesh.volume) * scale**3,
+        "outward": outward,
+        "volume_mm3": told.volume / MM**3 if told else float(mesh.volume) * scale**3,
         "bodies": int(mesh.body_count),
+        **({"notes": [*told.faults, *told.joined]} if told and (told.faults or told.joined) else {}),
         "edge_lengths_mm": np.percentile(np.asarray(mesh.edges_unique_length), [0, 50, 100]) * scale,
     }
 

@@ -30,6 +30,9 @@ class Ledger:
             raise SceneError(f"--out {path.parent}: holds {path.name} already; give --resume to go on, --force to begin again")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SceneError(f"--out {path.parent}: cannot be written to ({error.strerror}); give another folder") from None
+        try:
             if force:
                 path.unlink(missing_ok=True)
             if path.exists():

@@ -16,6 +16,7 @@ import subprocess
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ RESULTS = (
     "scene.toml", "report.json", "press.npz", "probe.csv", "frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png",
 )  # fmt: skip
 """Names that gelsim writes into a result folder; `force` removes these and nothing else."""
+PICTURES = "frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png"
+"""Those of them that are drawn."""
 
 VIDEO_SECONDS = 2.5
 """A press lasts about this long in video.mp4 (in truth: depth over speed, 0.2 s): long enough to look at ten frames."""
@@ -48,7 +51,6 @@ class ResultFolder:
             SceneError: It holds files and neither `force` nor `resume` was given, is no folder, or cannot be written to.
         """
         self.path = path
-        self.force = force
         if path.exists() and not path.is_dir():
             raise SceneError(f"--out {path}: is a file, not a folder")
         try:
@@ -66,12 +68,11 @@ class ResultFolder:
         except OSError as error:
             raise SceneError(f"--out {path}: cannot be written to ({error.strerror}); give another folder") from None
 
-    def clear(self) -> None:
-        """Removes earlier results when `force` was given."""
-        if self.force:
-            for name in RESULTS:
-                target = self.path / name
-                shutil.rmtree(target) if target.is_dir() and not target.is_symlink() else target.unlink(missing_ok=True)
+    def remove(self, names: Iterable[str] = RESULTS) -> None:
+        """Removes earlier results."""
+        for name in names:
+            target = self.path / name
+            shutil.rmtree(target) if target.is_dir() and not target.is_symlink() else target.unlink(missing_ok=True)
 
     def write(self, name: str, writer: Callable[[Path], None]) -> Path:
         """Lets `writer` make a file or a folder under a temporary name and renames it to `name` when it is whole."""
@@ -125,10 +126,27 @@ def press_arrays(scene: Scene, deformation: Deformation) -> dict[str, NDArray]:
     }
 
 
-def write_press(path: Path, scene: Scene, deformation: Deformation) -> None:
-    """Writes press.npz."""
+def write_press(path: Path, scene: Scene, deformation: Deformation, account: Mapping[str, Any] | None = None) -> None:
+    """Writes press.npz; `account` is what report.json is to say of a press that is taken from here."""
+    told = np.array(json.dumps(plain_json(account or {}), allow_nan=False))
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **press_arrays(scene, deformation))
+        np.savez_compressed(file, allow_pickle=False, **press_arrays(scene, deformation), account=told)
+
+
+def read_account(path: Path) -> dict[str, Any]:
+    """The `account` that a press.npz was written with; empty where it has none.
+
+    Raises:
+        SceneError: The file is missing or holds something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            account = json.loads(str(data["account"])) if "account" in data.files else {}
+        if not isinstance(account, dict):
+            raise ValueError("its account is no table")
+    except (OSError, ValueError, KeyError, RecursionError, zipfile.BadZipFile) as error:
+        raise SceneError(f"{path}: is not a press.npz of gelsim ({error})") from None
+    return account
 
 
 def read_press(path: Path) -> Deformation:

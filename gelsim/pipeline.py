@@ -24,6 +24,7 @@ import numpy as np
 
 from gelsim import materials, outputs
 from gelsim.errors import MeshingError, PressEnd, SceneError, SolveError, SolveStatus
+from gelsim.files import digest
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
 from gelsim.scene import Press, Scene
@@ -73,6 +74,13 @@ class Record:
             finally:
                 self.seconds[name] = round(self.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
         self.warnings += [f"{name}: {item.message}" for item in caught if not issubclass(item.category, DeprecationWarning)]
+
+    def add(self, other: Record) -> None:
+        """Takes what another one says beside its own."""
+        self.seconds |= other.seconds
+        self.meshes |= other.meshes
+        self.choices |= other.choices
+        self.warnings += other.warnings
 
 
 def press(
@@ -389,26 +397,36 @@ def run(
         outputs.check_probe_points(points, scene)
     folder = outputs.ResultFolder(out, force=force, resume=resume)
     start = time.perf_counter()
-    record = Record()
+    record, solving = Record(), Record()
     if render_frames:
         # What cannot be drawn should be known before minutes go into the press.
         scene, _ = _choose_renderer(scene, device, record)
-    deformation = _earlier_press(scene, folder.path) if resume else None
-    try:
-        if deformation is None:
-            deformation = press(scene, device=device, progress=progress, record=record)
-        else:
-            record.choices["press"] = "taken from the folder (--resume)"
-    except SolveError as error:
-        if isinstance(error.deformation, Deformation):
-            _write_mechanics(folder, scene, error.deformation, points)
-            report = _report(scene, device, record, error.deformation, start, out) | {"error": str(error)}
-            folder.write("report.json", lambda path: outputs.write_report(path, report))
-            raise SolveError(f"{error} (what was solved is in {out})", error.deformation) from None
-        raise
-    _write_mechanics(folder, scene, deformation, points)
+    earlier = _earlier_press(scene, folder.path, solving) if resume else None
+    if earlier is None:
+        try:
+            deformation = press(scene, device=device, progress=progress, record=solving)
+        except SolveError as error:
+            if isinstance(error.deformation, Deformation):
+                _write_mechanics(folder, scene, error.deformation, solving)
+                _write_probe(folder, error.deformation, points)
+                record.add(solving)
+                report = _report(scene, device, record, error.deformation, start, out) | {"error": str(error)}
+                folder.write("report.json", lambda path: outputs.write_report(path, report))
+                raise SolveError(f"{error} (what was solved is in {out})", error.deformation) from None
+            raise
+        _write_mechanics(folder, scene, deformation, solving)
+    else:
+        deformation, before = earlier
+        solving.choices["press"] = "taken from the folder (--resume)"
+        if not render_frames:  # pictures may lie there, of a scene with the same mechanics
+            scene = before
+    record.add(solving)
+    frames = render(scene, deformation, device=device, progress=progress, record=record) if render_frames else []
+    if earlier is not None and before != scene:  # only now: a drawing that was stopped leaves the folder as it was
+        folder.remove((*outputs.PICTURES, "report.json"))
+        folder.write("scene.toml", lambda path: outputs.write_scene(path, scene))
+    _write_probe(folder, deformation, points)
     if render_frames:
-        frames = render(scene, deformation, device=device, progress=progress, record=record)
         with record.stage("write"):
             _write_pictures(folder, scene, deformation, frames, radiance)
     report = _report(scene, device, record, deformation, start, out)
@@ -459,8 +477,8 @@ def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, 
     return scene, optics
 
 
-def _earlier_press(scene: Scene, out: Path) -> Deformation | None:
-    """The press that lies in the folder, if it is whole and of the same mechanics."""
+def _earlier_press(scene: Scene, out: Path, record: Record) -> tuple[Deformation, Scene] | None:
+    """The press that lies in the folder and the scene that it was made for, if it is whole and of the same mechanics; fills `record`."""
     if not (out / "press.npz").exists():
         return None
     if not (out / "scene.toml").exists():
@@ -470,14 +488,29 @@ def _earlier_press(scene: Scene, out: Path) -> Deformation | None:
         if getattr(earlier, name) != getattr(scene, name):
             what = f"[{name}]" if dataclasses.is_dataclass(getattr(scene, name)) else name
             raise SceneError(f"--resume {out}: its press was made with another {what}; give --force to solve it anew, or another --out")
-    deformation = outputs.read_press(out / "press.npz")
-    return deformation if deformation.status is SolveStatus.CONVERGED else None
+    deformation, account = outputs.read_press(out / "press.npz"), outputs.read_account(out / "press.npz")
+    if deformation.status is not SolveStatus.CONVERGED:
+        return None
+    if scene.object.mesh is not None and account.get("mesh_sha256") != digest(Path(scene.object.mesh)):
+        raise SceneError(
+            f"--resume {out}: its press was made with another {scene.object.mesh}; give --force to solve it anew, or another --out"
+        )
+    record.add(Record(meshes=account.get("meshes", {}), choices=account.get("choices", {}), warnings=account.get("warnings", [])))
+    deformation.info.update(account.get("info", {}))
+    return deformation, earlier
 
 
-def _write_mechanics(folder: outputs.ResultFolder, scene: Scene, deformation: Deformation, points: Any) -> None:
-    folder.clear()
+def _write_mechanics(folder: outputs.ResultFolder, scene: Scene, deformation: Deformation, record: Record) -> None:
+    """The press in place of earlier results, with what `_earlier_press` reads of it."""
+    account: dict[str, Any] = {"meshes": record.meshes, "choices": record.choices, "warnings": record.warnings, "info": deformation.info}
+    if scene.object.mesh is not None:
+        account["mesh_sha256"] = digest(Path(scene.object.mesh))
+    folder.remove()
     folder.write("scene.toml", lambda path: outputs.write_scene(path, scene))
-    folder.write("press.npz", lambda path: outputs.write_press(path, scene, deformation))
+    folder.write("press.npz", lambda path: outputs.write_press(path, scene, deformation, account))
+
+
+def _write_probe(folder: outputs.ResultFolder, deformation: Deformation, points: Any) -> None:
     if points is not None:
         folder.write("probe.csv", lambda path: outputs.write_probe(path, deformation, points))
 

@@ -336,6 +336,8 @@ class Catalogue:
     """A plan with a seed: everything that can be drawn from it, by number."""
 
     def __init__(self, plan: Plan, seed: int) -> None:
+        if seed < 0:
+            raise SceneError(f"--seed {seed}: allowed is 0 or more")
         self.plan, self.seed = plan, seed
         shares = np.array([group.share for group in plan.groups])
         self._shares = shares / shares.sum()

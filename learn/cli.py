@@ -59,7 +59,10 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if "--debug" in arguments:
             raise
-        line, code = f"internal error, {type(error).__name__}: {error} (a bug; run again with --debug for the trace)", INTERNAL
+        if isinstance(error, OSError) and error.filename is not None:
+            line, code = f"{error.filename}: {error.strerror}", BAD_INPUT
+        else:
+            line, code = f"internal error, {type(error).__name__}: {error} (a bug; run again with --debug for the trace)", INTERNAL
         line, kind = " ".join(line.split()), type(error).__name__
     print(f"gelsim-learn: {line}", file=sys.stderr)
     if "--json" in arguments:

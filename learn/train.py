@@ -28,6 +28,7 @@ import torch
 from torch import distributed
 
 from gelsim.dataset import Dataset, load_dataset
+from gelsim.errors import GelsimError
 from gelsim.files import whole_file
 from learn import checkpoint as checkpoints
 from learn.checkpoint import Checkpoint
@@ -50,6 +51,9 @@ PREDICTIONS = 9
 """Of which the median time is told."""
 PREDICTION_SECONDS = 5.0
 """No more of them when they have taken longer."""
+
+Sides = tuple[list[int], list[int]]
+"""Indices of a dataset's presses to train on, and to validate on."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +112,22 @@ def _train(
     began = time.perf_counter()
     datasets = [load_dataset(path) for path in (data, real) if path is not None]
     provenance = _provenance(datasets, init, vgg)
+    # What can be refused before presses are read is refused before anything is written: nothing then stands in a corrected command's way.
+    share(0, config.train.batch, place.rank, place.world)
+    divided = _divide(datasets, config)
+    kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
+    network = _network(config, kept, init, vgg, datasets, divided)
     if place.first:
         _open_run(out, config, provenance, resume, force)
-    parts, presses = _gather(place, datasets, config, cache, progress, plan, device)
-    read = time.perf_counter() - began
-    stream, held = Stream(parts, config, place.device), batches(presses, place.device)
-    kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
-    network = _network(config, kept, init, vgg, stream, parts).to(place.device)
+    try:
+        parts, presses = _gather(place, datasets, divided, config, cache, progress, plan, device)
+        read = time.perf_counter() - began
+        stream, held = Stream(parts, config, place.device), batches(presses, place.device)
+    except (GelsimError, OSError):
+        if place.first and not resume:
+            _take_back(out)
+        raise
+    network = network.to(place.device)
     optimizer, averaged = _optimizer(network, config), _averaged(network, kept)
     if config.train.compile:
         compile_convolutions(network)
@@ -240,7 +253,9 @@ def _average(averaged: Network, network: Network, step: int, most: float) -> Non
         kept.lerp_(now, 1 - decay)
 
 
-def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Path | None, stream: Stream, parts: list[Archive]) -> Network:
+def _network(
+    config: Config, kept: Checkpoint | None, init: Path | None, vgg: Path | None, datasets: list[Dataset], divided: list[Sides]
+) -> Network:
     if kept is not None:
         return kept.build()
     if init is not None:
@@ -250,7 +265,8 @@ def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Pa
         return begun.build()
     torch.manual_seed(config.train.seed)
     network = build(config)
-    known = np.array([row["shore_00"] for part in parts for row in part.rows if row["shore_00"] is not None], float)
+    rows = [dataset.rows[dataset.positions[index]] for dataset, (train, _) in zip(datasets, divided, strict=True) for index in train]
+    known = np.array([row["shore_00"] for row in rows if row["shore_00"] is not None], float)
     if len(known) == 0:
         raise LearnError("train: no press of known hardness to train on")
     network.centre.fill_(float(known.mean()))
@@ -262,15 +278,21 @@ def _network(config: Config, kept: Checkpoint | None, init: Path | None, vgg: Pa
     return network
 
 
-def _gather(
-    place: Place, datasets: list[Dataset], config: Config, cache: Path, progress: Progress | None, plan: str | None, device: str
-) -> tuple[list[Archive], list[Press]]:
-    """The archives to train on, and the presses to validate on: real ones where there are any."""
+def _divide(datasets: list[Dataset], config: Config) -> list[Sides]:
+    """Of each dataset what is trained on, no more than asked for, and what is validated on."""
     divided = [sides(dataset, config.train.seed) for dataset in datasets]
     for number, most in zip(range(len(datasets)), (config.train.presses, config.train.real_presses), strict=False):
         if most:
             chosen = np.random.default_rng([config.train.seed, 5]).permutation(divided[number][0])[:most]
             divided[number] = (sorted(map(int, chosen)), divided[number][1])
+    return divided
+
+
+def _gather(
+    place: Place, datasets: list[Dataset], divided: list[Sides], config: Config, cache: Path, progress: Progress | None, plan: str | None,
+    device: str,
+) -> tuple[list[Archive], list[Press]]:  # fmt: skip
+    """The archives to train on, and the presses to validate on: real ones where there are any."""
     if not place.first:  # the first process fills the cache, the others map it
         distributed.barrier()
     workers = config.train.workers
@@ -378,7 +400,7 @@ def _open_run(out: Path, config: Config, provenance: dict[str, Any], resume: boo
         if before.get("data") != provenance["data"]:
             raise LearnError(f"--out {out}: was begun with other data")
         return
-    if out.exists() and any(out.iterdir()):
+    if out.exists() and any(path.name != CACHE for path in out.iterdir()):
         if not force:
             raise LearnError(f"--out {out}: exists; give --resume to go on with it, or --force to begin again")
         for name in ("last.pt", "model.pt", "report.json", "curves.csv", "curves.png"):
@@ -388,6 +410,14 @@ def _open_run(out: Path, config: Config, provenance: dict[str, Any], resume: boo
     out.mkdir(parents=True, exist_ok=True)
     _write_json(out / "run.json", provenance)
     _write_json(out / "config.json", to_plain(config))
+
+
+def _take_back(out: Path) -> None:
+    """Of a run whose presses cannot be read; those that were are kept, in the cache alone, which stands in no run's way."""
+    for name in ("run.json", "config.json"):
+        (out / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # not empty
+        out.rmdir()
 
 
 def read_run(out: Path) -> Config:

@@ -138,8 +138,10 @@ def _picture(path: Path) -> NDArray[np.uint8]:
 def _video(path: Path, start: float, seconds: float | None) -> Iterator[NDArray[np.uint8]]:
     import imageio_ffmpeg
 
-    if not (np.isfinite(start) and start >= 0) or (seconds is not None and not 0 < seconds <= MOST_SECONDS):
-        raise LearnError(f"--start {start} --seconds {seconds}: allowed are 0 s or later, and up to {MOST_SECONDS:g} s")
+    if not (np.isfinite(start) and start >= 0):
+        raise LearnError(f"--start {start:g} s: allowed is 0 s or later")
+    if seconds is not None and not 0 < seconds <= MOST_SECONDS:
+        raise LearnError(f"--seconds {seconds:g} s: allowed is more than 0, up to {MOST_SECONDS:g} s")
     # A file may be a playlist: what it names must be files too.
     decoder = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", "-protocol_whitelist", "file"]
     window = ["-ss", f"{start:.3f}"] + ([] if seconds is None else ["-t", f"{seconds:.3f}"])

@@ -67,11 +67,11 @@ def read_photos(folder: Path) -> Photos:
         SceneError: The first thing that is wrong, with file, field, value and what is allowed.
     """
     settings = _settings(folder / "photos.toml")
-    rows = _rows(folder, settings["no_contact"])
-    if len(rows) + 1 > MOST_PHOTOS:
-        raise SceneError(f"--photos {folder}: {len(rows) + 1} pictures; at most {MOST_PHOTOS} are taken")
     linear = settings.get("linear", False)
     first = _picture(folder / settings["no_contact"], linear)
+    rows = _rows(folder, settings["no_contact"], {"col_px": first.shape[1], "row_px": first.shape[0]})
+    if len(rows) + 1 > MOST_PHOTOS:
+        raise SceneError(f"--photos {folder}: {len(rows) + 1} pictures; at most {MOST_PHOTOS} are taken")
     if first.size // 3 * (len(rows) + 1) > MOST_PIXELS:
         raise SceneError(f"--photos {folder}: more than {MOST_PIXELS // 10**6} million pixels in all; scale the pictures down")
     pictures = np.empty((len(rows), *first.shape))
@@ -124,8 +124,8 @@ def _settings(path: Path) -> dict[str, Any]:
     return table
 
 
-def _rows(folder: Path, no_contact: str) -> list[dict[str, Any]]:
-    """A row for each press."""
+def _rows(folder: Path, no_contact: str, sides: dict[str, int]) -> list[dict[str, Any]]:
+    """A row for each press; `sides`: of the pictures [px], by the column that counts along them."""
     path = folder / "presses.csv"
     if not path.exists():
         names = sorted(item.name for item in folder.iterdir() if item.suffix.lower() in SUFFIXES and item.name != no_contact)
@@ -152,6 +152,8 @@ def _rows(folder: Path, no_contact: str) -> list[dict[str, Any]]:
                 raise SceneError(f"{where}: {name} = {text!r} is not a number") from None
             if text and not math.isfinite(row[name]):
                 raise SceneError(f"{where}: {name} = {text} is not finite")
+            if text and name in sides and not 0 <= row[name] <= sides[name]:
+                raise SceneError(f"{where}: {name} = {row[name]:g} px: allowed is 0 … {sides[name]} px, the picture")
         if row["depth_mm"] <= 0:
             raise SceneError(f"{where}: depth_mm = {row['depth_mm']:g} mm: allowed is more than 0 mm")
         rows.append(row)

@@ -426,12 +426,18 @@ def _report(
         )  # fmt: skip
         scores.setdefault(split, []).append((whole, crop))
         scores.setdefault(f"no_contact_as_{split}", []).append((unmoved, unmoved))
+    means = {name: _mean_scores(pairs) for name, pairs in scores.items()}
+    error, unmoved_error = (means[name]["whole"]["mse"] for name in ("train", "no_contact_as_train"))
+    if error > unmoved_error:
+        warnings.append(
+            f"the fitted sensor explains the presses worse than the no-contact picture does (MSE {error:.1f}, not "
+            f"{unmoved_error:.1f}): do not use it; check ball_radius_mm, mm_per_px and that all pictures are of one sensor"
+        )
     return {
         "parameters": table,
         "conventions": CONVENTIONS,
         "presses": rows,
-        "scores": {name: _mean_scores(pairs) for name, pairs in scores.items()}
-        | {"no_contact": _mean_scores([(rest_errors, rest_errors)])},
+        "scores": means | {"no_contact": _mean_scores([(rest_errors, rest_errors)])},
         "fit": {
             "rms_levels": fitted.rms,
             "noise_levels": fitted.sigma,

@@ -29,6 +29,8 @@ Progress = Callable[[str, int, int], None]
 
 MOST_FAILED = 0.01
 """Of the episodes asked for."""
+MOST_EPISODES = 10_000_000
+"""Weeks of a GPU."""
 NUMERICAL = (
     "MAX_ITERATIONS",
     "LINE_SEARCH_STALLED",
@@ -78,8 +80,8 @@ def generate(
             what was done is kept.
     """
     catalogue = Catalogue(load_plan(plan), seed)
-    if episodes < 1:
-        raise SceneError(f"--episodes {episodes}: expected 1 or more")
+    if not 1 <= episodes <= MOST_EPISODES:
+        raise SceneError(f"--episodes {episodes}: allowed is 1 … {MOST_EPISODES}")
     if test_episodes is not None and test_episodes < 0:
         raise SceneError(f"--test-episodes {test_episodes}: expected 0 or more")
     crew = crew_of(workers, device, ray)
@@ -142,7 +144,7 @@ def summary(report: dict[str, Any]) -> str:
     """A report in a few lines for people."""
     splits = ", ".join(f"{name} {count}" for name, count in report["splits"].items() if count)
     lines = [
-        f"{report['out']}: {report['episodes']} of {report['asked']} episodes ({splits})",
+        f"{report['out']}: {report['episodes']} of {report['asked']} episodes (in the folder: {splits})",
         f"{report['seconds']:.0f} s with {report['workers']} workers, {report['episodes_per_hour']:.0f} episodes/h"
         if report["episodes_per_hour"]
         else "nothing was left to be done",

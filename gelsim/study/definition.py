@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import itertools
 import math
+import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +21,9 @@ import numpy as np
 
 from gelsim.distributions import check_fields
 from gelsim.errors import SceneError
-from gelsim.fields import nearest
+from gelsim.fields import field_types, nearest
 from gelsim.ledger import Row
+from gelsim.scene import Scene
 from gelsim.scene_file import Layer, anchored, from_folder, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
@@ -204,6 +206,11 @@ def check_axis(where: str, name: str, values: Any) -> Any:
         if list(values) != [kind] or kind not in RANGES:
             raise SceneError(f"{where}: expected a list of values, or a range: {' or '.join(f'{{{r} = [a, b]}}' for r in RANGES)}")
         check_fields({name: values}, table)
+        hint: Any = Scene
+        for key in name.split("."):
+            hint = field_types(hint)[key]
+        if float not in (hint.__args__ if isinstance(hint, types.UnionType) else (hint,)):
+            raise SceneError(f"{where}: takes no fractions, so it has no range; gelsim study takes a list of its values")
         return values
     if not isinstance(values, list) or not values:
         raise SceneError(f"{where} = {values!r}: expected a list of values, or a range")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from gelsim.files import digest
 from gelsim.ledger import Row
 from gelsim.scene import Scene
 from gelsim.study.definition import Study, shown
@@ -31,7 +32,10 @@ pre, code { background: #f4f5f7; } pre { padding: .8rem; overflow-x: auto; } .fa
 
 def fingerprint(scene: Scene, metrics: Sequence[str]) -> str:
     """Eight characters that change with anything that decides a row."""
-    return hashlib.sha256(repr((scene, tuple(metrics))).encode()).hexdigest()[:8]
+    decides: tuple[object, ...] = (scene, tuple(metrics))
+    if scene.object.mesh is not None:  # the scene has its path alone
+        decides = *decides, digest(Path(scene.object.mesh))
+    return hashlib.sha256(repr(decides).encode()).hexdigest()[:8]
 
 
 def write(

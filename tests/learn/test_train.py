@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -16,11 +17,12 @@ import torch
 from conftest import TINY, fake_dataset
 
 from gelsim.dataset import load_dataset
+from gelsim.errors import GelsimError
 from learn import checkpoint, cli
 from learn.config import LearnError, configure, from_plain, to_plain
 from learn.logs import read_curves
 from learn.predict import find_model
-from learn.train import _average, rate_at, train
+from learn.train import Place, _average, rate_at, train
 
 
 def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
@@ -145,6 +147,56 @@ def test_an_existing_run_is_not_touched(fake_data: Path, tiny_run: Path, tmp_pat
     other = fake_dataset(tmp_path / "other", seed=1, rigid=False)
     with pytest.raises(LearnError, match="other data"):
         train(other, tiny_run, configure(**TINY, steps=6), resume=True)
+
+
+def test_a_refused_training_leaves_nothing(
+    fake_data: Path, tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, config = tmp_path / "run", configure(**TINY, steps=1)
+    rows = [json.loads(line) for line in (fake_data / "meta" / "episodes.jsonl").read_text().splitlines()]
+
+    def planted(name: str, **facts: object) -> Path:
+        """The data, with something else said of all presses."""
+        data = shutil.copytree(fake_data, tmp_path / name)
+        (data / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row | facts) + "\n" for row in rows))
+        return data
+
+    unknown, rigid, dark = planted("unknown", shore_00=None), planted("rigid", shore_00=None, rigid=True), planted("dark", pictures=False)
+    # By the data, by another file, by the number of devices; and an earlier run is as it was.
+    for data in (unknown, rigid):
+        with pytest.raises(GelsimError, match="no press of known hardness"):
+            train(data, out, config)
+    with pytest.raises(LearnError, match="only --model paper has a VGG16"):
+        train(fake_data, out, config, vgg_weights=tiny_run / "model.pt")
+    with monkeypatch.context() as patch:
+        patch.setattr("learn.train._place", lambda device: contextlib.nullcontext(Place(0, 3, torch.device("cpu"))))
+        with pytest.raises(LearnError, match="a multiple of the 3 devices"):
+            train(fake_data, out, config)
+    assert not out.exists()
+    before = {path.name: path.stat().st_mtime_ns for path in tiny_run.iterdir()}
+    with pytest.raises(GelsimError, match="no press of known hardness"):
+        train(rigid, tiny_run, config, force=True)
+    assert {path.name: path.stat().st_mtime_ns for path in tiny_run.iterdir()} == before
+    # While presses are read, of which a cache may be left: the corrected command is taken.
+    with pytest.raises(GelsimError, match="plan"):
+        train(dark, out, config)
+    assert not out.exists() or [path.name for path in out.iterdir()] == ["cache"]
+    (tmp_path / "file").touch()
+    flags = ["train", "--preset", "mini", "--steps", "1", "--data", str(fake_data)]
+    assert cli.main([*flags, "--out", str(out), "--cache", str(tmp_path / "file" / "x")]) == 2
+    assert f"gelsim-learn: {tmp_path / 'file' / 'x'}: Not a directory\n" in capsys.readouterr().err
+    assert train(fake_data, out, config)["step"] == 1
+
+
+def test_a_result_folder_that_cannot_be_is_told(
+    fake_data: Path, tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for command in (["train", "--preset", "mini"], ["eval", "--model", str(tiny_run / "model.pt"), "--no-baselines"]):
+        for out in (file, file / "x"):
+            assert cli.main([*command, "--data", str(fake_data), "--out", str(out)]) == 2
+            assert capsys.readouterr().err == f"gelsim-learn: {out}: Not a directory\n"
 
 
 def test_fine_tuning_on_a_few_real_presses_begins_from_the_network(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:

@@ -1,13 +1,17 @@
-"""What `gelsim calibrate` refuses: one line each, nothing written."""
+"""What `gelsim calibrate` refuses: one line each, nothing written; and what it warns of."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from gelsim.calibrate import run
+from gelsim.calibrate.parameters import GLOBALS, Parameters
 from gelsim.calibrate.photos import read_photos
 from gelsim.cli import main
 from gelsim.errors import SceneError
@@ -68,6 +72,8 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,depth_mm\na.png,deep\n", "line 2: depth_mm = 'deep' is not a number"),
         ("presses.csv", "file,depth_mm\na.png,-0.5\n", "depth_mm = -0.5 mm: allowed is more than 0"),
         ("presses.csv", "file,col_px\na.png,inf\n", "col_px = inf is not finite"),
+        ("presses.csv", "file,col_px\na.png,-5\n", "presses.csv: line 2: col_px = -5 px: allowed is 0 … 64 px"),
+        ("presses.csv", "file,col_px,row_px\na.png,64,48\nb.jpg,0,48.5\n", "presses.csv: line 3: row_px = 48.5 px: allowed is 0 … 48 px"),
         ("presses.csv", "file,depth_mm\na.png,nan\n", "depth_mm = nan is not finite"),
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
         ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
@@ -122,3 +128,19 @@ def test_photographs_without_any_contact_are_refused(folder, tmp_path, capsys):
     (folder / "b.jpg").unlink()
     assert main(["calibrate", "--photos", str(folder), "--out", str(tmp_path / "out" / "sensor.toml")]) == 2
     assert "no contact can be seen in a.png" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("off", "warned"), [(5.0, False), (15.0, True)])
+def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
+    """The one press differs from no_contact by 10 levels everywhere, the fitted sensor's picture of it by `off`."""
+    (folder / "presses.csv").write_text("file\na.png\n")
+    photos = read_photos(folder)
+    globals_ = np.array([0.3, 40.0, 0.0, 3.0, 0.1, 0.4, 1.0])
+    sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), np.zeros((0, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
+    base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
+    frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
+    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, photos.no_contact, None, nothing, nothing, frozen, "cpu")  # type: ignore[arg-type]
+    fitted = run.Fitted(sensor, np.zeros((1, 3)), 0.0, 1.0, 1.0, np.eye(sensor.vector.size), 1)
+    places = np.zeros((1, 3))
+    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, {}, [])
+    assert ["worse than the no-contact picture does (MSE 225.0, not 100.0)" in text for text in report["warnings"]] == [True] * warned

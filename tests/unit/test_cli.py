@@ -9,6 +9,7 @@ from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from gelsim import cli, console, pipeline
 from gelsim.errors import SolveError, SolveStatus
@@ -171,6 +172,98 @@ def test_resume_takes_the_press_of_the_same_scene(
     assert cli.main(["press", "--out", "a", "--resume"]) == cli.OK
     assert cli.main(["press", "--out", "a", "--resume", "--shore", "31"]) == cli.BAD_INPUT
     assert "made with another [object]" in capfd.readouterr().err
+
+
+def test_resume_tells_of_the_press_what_was_told_when_it_was_solved(
+    deformation: Deformation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from dataclasses import replace
+
+    def solve(*_: object, record: pipeline.Record, **__: object) -> Deformation:
+        record.meshes["gel"] = {"tets": 7}
+        record.choices["symmetry"] = ["x"]
+        record.warnings.append("goes over the border")
+        return replace(deformation, info={"tried": 2, "warnings": ["held"], "error_estimate": {"force_percent": 1.5}})
+
+    monkeypatch.setattr(pipeline, "press", solve)
+    assert cli.main(["press", "--out", "a"]) == cli.OK
+    first = json.loads((tmp_path / "a/report.json").read_text())
+    assert first["warnings"] == ["goes over the border", "held"] and first["error_estimate"] == {"force_percent": 1.5}
+    monkeypatch.setattr(pipeline, "press", lambda *_, **__: pytest.fail("solved again"))
+    assert cli.main(["press", "--out", "a", "--resume"]) == cli.OK
+    again = json.loads((tmp_path / "a/report.json").read_text())
+    assert again["choices"].pop("press") == "taken from the folder (--resume)"
+    for name in ("meshes", "choices", "warnings", "error_estimate", "error_estimate_note", "final"):
+        assert again[name] == first[name], name
+
+
+def test_resume_knows_a_mesh_file_by_what_is_in_it(
+    deformation: Deformation, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    flags = ["press", "--shape", "mesh", "--mesh", str(tmp_path / "part.stl"), "--out", "a"]
+    trimesh.creation.box((4e-3, 4e-3, 3e-3)).export(tmp_path / "part.stl")
+    assert cli.main(flags) == cli.OK and cli.main([*flags, "--resume"]) == cli.OK
+    trimesh.creation.box((4e-3, 4e-3, 2e-3)).export(tmp_path / "part.stl")
+    assert cli.main([*flags, "--resume"]) == cli.BAD_INPUT and "made with another" in capfd.readouterr().err
+    (tmp_path / "part.stl").unlink()
+    assert cli.main([*flags, "--resume"]) == cli.BAD_INPUT
+
+
+def test_resume_with_other_light_leaves_no_picture_of_the_one_before_and_takes_none_away_before_it_has_others(
+    deformation: Deformation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    monkeypatch.setattr(pipeline, "_choose_renderer", lambda scene, *_: (scene, None))
+    monkeypatch.setattr(pipeline, "_write_pictures", lambda folder, *_: folder.write("sheet.png", lambda path: path.write_text("new")))
+    monkeypatch.setattr(pipeline, "render", lambda *_, **__: [])
+    assert cli.main(["render", "--out", "a"]) == cli.OK
+    (tmp_path / "a/radiance").mkdir()
+    (tmp_path / "a/sheet.png").write_text("old")
+    before = (tmp_path / "a/scene.toml").read_text()
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as cut:
+        cut.setattr(pipeline, "render", interrupted)
+        assert cli.main(["render", "--out", "a", "--spp", "7", "--resume"]) == cli.INTERRUPTED
+    assert (tmp_path / "a/scene.toml").read_text() == before and (tmp_path / "a/sheet.png").read_text() == "old"
+    assert cli.main(["press", "--out", "a", "--spp", "7", "--resume"]) == cli.OK  # the mechanics alone: they are the same
+    assert (tmp_path / "a/scene.toml").read_text() == before and (tmp_path / "a/radiance").exists()
+    assert cli.main(["render", "--out", "a", "--resume"]) == cli.OK and (tmp_path / "a/radiance").exists()
+    assert cli.main(["render", "--out", "a", "--spp", "7", "--resume"]) == cli.OK
+    assert "spp = 7" in (tmp_path / "a/scene.toml").read_text() and not (tmp_path / "a/radiance").exists()
+    assert (tmp_path / "a/sheet.png").read_text() == "new"
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        (["press", "--rigid", "--shore", "30"], "a rigid object has no hardness, and object.shore_00 was given too"),
+        (["press", "--force", "--resume"], "--resume: not allowed with argument --force"),
+        (["dataset", "--episodes", "2", "--seed", "-1", "--out", "a"], "--seed -1: allowed is 0 or more"),
+        (["dataset", "--episodes", "1000000000000", "--out", "a"], "--episodes 1000000000000: allowed is 1"),
+        (["dataset", "--light-of", "a", "--real", "b", "--out", "c"], "exclude each other"),
+        (["durometer", "--shore", "30", "--out", "a"], "--out DIR goes with the whole scale"),
+        (["durometer", "--out", "file/below"], "--out file/below: cannot be written to"),
+        (["study", "gel-hardness", "--out", "file"], "--out file: cannot be written to"),
+        (["inspect", "sensor.toml"], "a sensor file goes with --sensor"),
+        (["inspect", "part.stl", "--out", "a.foo"], "what is drawn is a .png"),
+        (["inspect", "part.stl", "--out", "file/a.png"], "file: "),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(
+    command: list[str], expected: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "sensor.toml").write_text("")
+    trimesh.creation.box((4, 4, 3)).export(tmp_path / "part.stl")
+    before = sorted(tmp_path.iterdir())
+    assert cli.main(command) == cli.BAD_INPUT
+    said = capfd.readouterr().err
+    assert expected in said and "internal error" not in said and said.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_folder_refuses_what_is_there(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="not empty; give --force"):
         outputs.ResultFolder(tmp_path / "full")
     folder = outputs.ResultFolder(tmp_path / "full", force=True)
-    folder.clear()
+    folder.remove()
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["mine.txt"]  # only what gelsim writes goes
     with pytest.raises(SceneError, match="is a file"):
         outputs.ResultFolder(tmp_path / "full" / "mine.txt")

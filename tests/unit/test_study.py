@@ -13,7 +13,7 @@ from gelsim import cli
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.ledger import Ledger
 from gelsim.scene_file import build_scene
-from gelsim.study import STUDIES, runner
+from gelsim.study import STUDIES, report, runner
 from gelsim.study.definition import Study, load_study
 from gelsim.study.discrimination import combine
 from gelsim.study.metrics import METRICS, Metric
@@ -85,6 +85,7 @@ def test_a_latin_hypercube_meets_every_slice_once_at_each_point_of_the_grid() ->
         (('"gel.shore_00" = [10', '"gel.shore" = [10'), "fields.'gel.shore'"),
         (("[10, 17, 30]", "{uniform = [10, 30]}"), "cases = None: expected how many points"),
         (("[10, 17, 30]", "{uniform = [10, 30], high = 3}"), "a range"),
+        (('"object.radius_mm" = [5, 8]', '"press.frames" = {uniform = [2, 5]}'), "fields.'press.frames': takes no fractions"),
         (("[5, 8]", "[5, 80]"), "allowed for object.radius_mm is 0.5 … 50 mm"),
         (('x = "gel.shore_00"', 'x = "gel.shore_a"'), "allowed are the fields gel.shore_00, object.radius_mm"),
         (('x = "gel.shore_00"', "cases = 3"), "cases = 3: it is for ranges"),
@@ -230,3 +231,13 @@ def test_paths_of_a_study_are_taken_from_its_folder(tmp_path: Path, monkeypatch:
     study = load_study("there/two.toml")
     assert study.axes["sensor.preset"] == ["there/pad.toml", "there/low.toml", "digit"]
     assert [build_scene(study.base, study.layer(point)).gel.profile for point in study.points()] == ["flat", "flat", "dome"]
+
+
+def test_a_case_is_another_one_where_its_mesh_file_has_changed(tmp_path: Path) -> None:
+    path = tmp_path / "part.stl"
+    scene = build_scene({"object": {"shape": "mesh", "mesh": str(path)}})
+    path.write_text("one")
+    first = report.fingerprint(scene, ("force_n",))
+    assert report.fingerprint(scene, ("force_n",)) == first
+    path.write_text("two")
+    assert report.fingerprint(scene, ("force_n",)) != first
