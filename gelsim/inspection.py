@@ -166,6 +166,9 @@ def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
     edges, uses = np.unique(np.sort(np.asarray(mesh.edges), axis=1), axis=0, return_counts=True)
     outward = bool(mesh.is_winding_consistent and mesh.volume > 0)
     told = compare_bodies(TriMesh(mesh.vertices * scale * MM, mesh.faces)) if mesh.is_watertight and outward else None
+    notes = list(told.faults) if told else []
+    if told and told.shared:
+        notes.append(f"bodies overlap, they are joined: the sum of their volumes is {told.shared / MM**3:.3g} mm³ more")
     return {
         "unit": unit,
         "vertices": len(mesh.vertices),
@@ -177,7 +180,7 @@ def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
         "outward": outward,
         "volume_mm3": told.volume / MM**3 if told else float(mesh.volume) * scale**3,
         "bodies": int(mesh.body_count),
-        **({"notes": [*told.faults, *told.joined]} if told and (told.faults or told.joined) else {}),
+        **({"notes": notes} if notes else {}),
         "edge_lengths_mm": np.percentile(np.asarray(mesh.edges_unique_length), [0, 50, 100]) * scale,
     }
 

@@ -5,6 +5,7 @@ Only geometry is read: no material, texture or other file that the mesh names is
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
-from gelsim.geometry import TriMesh
-from gelsim.units import MESH_UNITS
+from gelsim.geometry import TriMesh, enclosed_volume
+from gelsim.units import MESH_UNITS, MM
 
 Array = NDArray[np.float64]
 _BYTES = 100_000_000
@@ -23,6 +24,22 @@ _EXTENT = (0.5e-3, 100e-3)
 _THIN_ABOVE = 20_000
 _THIN_TOLERANCE = 5e-6
 """A finer mesh is thinned as long as its surface moves less than this [m]: a quarter of the overlap that a press may show."""
+_COMPARED = 100, 500_000
+"""Bodies and faces above which it is not asked how bodies lie to each other: it would take more than some seconds."""
+_SHARED = 1e-3
+"""Share of the volume that bodies may have in common by rounding and still only touch."""
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """How the closed surfaces of a file lie to each other."""
+
+    volume: float
+    """What is filled [m³]: what several share counts once."""
+    faults: tuple[str, ...]
+    """Surfaces whose filling can hardly be what is meant, largest first."""
+    shared: float
+    """What the sum of the bodies' volumes is more [m³]; 0 where they touch at most."""
 
 
 @lru_cache(maxsize=8)
@@ -90,6 +107,55 @@ def read_surface(path: str, unit: str) -> tuple[TriMesh, dict[str, object]]:
     tip = vertices[vertices[:, 2] <= lowest + 1e-7]
     vertices = vertices - np.array([*(tip.min(axis=0) + tip.max(axis=0))[:2] / 2, lowest])
     return TriMesh(vertices, faces.astype(np.int32)), done
+
+
+@lru_cache(maxsize=8)
+def compare_bodies(surface: TriMesh) -> Bodies | None:
+    """How the bodies of a watertight, outward surface lie to each other.
+
+    None of a single one, of more bodies or faces than are compared, and where manifold3d takes a body for no manifold.
+    """
+    import manifold3d
+    from trimesh import graph
+
+    if len(surface.faces) > _COMPARED[1]:
+        return None
+    shells = graph.connected_components(graph.face_adjacency(surface.faces), min_len=4)
+    if not 1 < len(shells) <= _COMPARED[0]:
+        return None
+    parts = []
+    for shell in shells:
+        used, faces = np.unique(surface.faces[shell], return_inverse=True)
+        parts.append(TriMesh(surface.vertices[used], faces.reshape(-1, 3).astype(np.int32)))
+    parts.sort(key=lambda part: -abs(enclosed_volume(part)))
+    outward = [enclosed_volume(part) > 0 for part in parts]
+    solids = [
+        manifold3d.Manifold(manifold3d.Mesh64(part.vertices, (part.faces if out else part.faces[:, ::-1]).astype(np.uint64)))
+        for part, out in zip(parts, outward, strict=True)
+    ]
+    if any(solid.status() != manifold3d.Error.NoError for solid in solids):
+        return None
+    lower, upper = (np.array([end(part.vertices, axis=0) for part in parts]) for end in (np.min, np.max))
+
+    def lies_in(i: int, j: int) -> bool:
+        within = (lower[i] > lower[j]).all() and (upper[i] < upper[j]).all()  # what ends flush with another is no cavity
+        return bool(within) and (solids[i] - solids[j]).volume() < 1e-6 * solids[i].volume()
+
+    around = [[j for j in range(i) if lies_in(i, j)] for i in range(len(parts))]
+    faults, whole = [], []
+    for i, part in enumerate(parts):
+        name = f"a body of {' x '.join(f'{e:.3g}' for e in np.ptp(part.vertices, axis=0) / MM)} mm"
+        material = sum(1 if outward[j] else -1 for j in around[i])  # how often the others wind around it: 1 in a body, 0 in its cavity
+        if outward[i] and material > 0:
+            faults.append(f"{name} lies in another and its faces point outward, so it is filled; flip them for a cavity, or leave it out")
+        elif outward[i]:
+            cavities = [solids[j] for j in range(i + 1, len(parts)) if not outward[j] and i in around[j]]
+            whole.append(manifold3d.Manifold.batch_boolean([solids[i], *cavities], manifold3d.OpType.Subtract))
+        elif material < 1:
+            faults.append(f"{name} is inside out and no cavity of another, so it is left out; flip its faces")
+    filled = manifold3d.Manifold.batch_boolean(whole, manifold3d.OpType.Add).volume()
+    shared = sum(solid.volume() for solid in whole) - filled
+    return Bodies(filled, tuple(faults), shared if shared > _SHARED * filled else 0.0)
 
 
 def _thinned(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:

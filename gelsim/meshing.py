@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.contact_area import contact_field, core, cut_pieces, edge_in_contact, footprint
-from gelsim.errors import MeshingError
+from gelsim.errors import MeshingError, SceneError
 from gelsim.files import whole_file
 from gelsim.geometry import (
     AXES,
@@ -51,6 +51,7 @@ from gelsim.geometry import (
     winding_numbers,
 )
 from gelsim.inclusions import Inclusion, inclusions
+from gelsim.mesh_file import compare_bodies
 from gelsim.scene import Body, Scene
 from gelsim.shapes import (
     BUMPY,
@@ -99,8 +100,8 @@ def mesh_object(
     Args:
         drawn_before: Meshes of it that did not serve: this is another of the same sizes, for fTetWild draws by lot.
     Raises:
-        SceneError: The shape fields make no solid.
-        MeshingError: The surface cannot be filled, or the filling is of too low quality.
+        SceneError: The shape fields make no solid, or the bodies of a file are filled otherwise than meant.
+        MeshingError: The surface cannot be filled, the filling is of too low quality, or the platen does not hold all of it.
     """
     body, sizes = scene.object, SIZES[scene.fidelity]
     centred = scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0)))
@@ -110,6 +111,9 @@ def mesh_object(
     side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
     if body.shape == "mesh":
         surface, shape, stretch = load_mesh(body), None, 1.0
+        told = compare_bodies(surface)
+        if told and told.faults:  # a rigid object may have them: only its outside counts
+            raise SceneError(f'object.mesh = "{body.mesh}": {told.faults[0]}')
         narrow = float(np.ptp(surface.vertices, axis=0).min())
     else:
         cut = shape_symmetry(body) - {axis for axis, sign in zip("xy", side, strict=True) if sign}
@@ -137,9 +141,27 @@ def mesh_object(
     smallest = min(field.smallest, np.inf if len(seams) else sizes.rim)
     envelope = (_OF_FACETS if shape is None else sizes.envelope) * smallest
     mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)), drawn_before)
+    _check_held(mesh, label)
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh
     return mirrored(mesh, symmetry)
+
+
+def _check_held(mesh: TetMesh, label: str) -> None:
+    """Every body of an object must reach the platen: one that does not would float, and its press converge without a force."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    nodes, first = len(mesh.rest_positions), np.repeat(mesh.tets[:, 0], mesh.tets.shape[1])
+    count, body = connected_components(coo_array((np.ones(len(first)), (first, mesh.tets.ravel())), (nodes, nodes)), directed=False)
+    loose = np.setdiff1d(np.arange(count), body[mesh.groups["base"]])
+    if len(loose):
+        z = mesh.rest_positions[:, 2] / MM
+        lowest = min(z[body == each].max() for each in loose)
+        raise MeshingError(
+            f"{label} is {count} bodies apart, {len(loose)} of them without a face in the top 2 % of the height to fix to the platen "
+            f"(the lowest ends at {lowest:.3g} of {z.max():.3g} mm); join them, end them at one height, or set object.rigid = true"
+        )
 
 
 def _seams(body: Body, shape: Solid | None, within: tuple[Inclusion, ...], sizes: MeshSizes) -> tuple[Array, float]:

@@ -10,7 +10,7 @@ import trimesh
 from mesh_fixtures import QUIET, assert_whole, scene
 
 from gelsim import meshing
-from gelsim.errors import MeshingError
+from gelsim.errors import MeshingError, SceneError
 from gelsim.geometry import (
     TriMesh,
     enclosed_volume,
@@ -272,6 +272,35 @@ def test_a_file_is_meshed_on_its_facets(tmp_path: Path) -> None:
     expected = abs(trimesh.load_mesh(path).volume)
     assert volume(mesh) * 1e9 == pytest.approx(expected, rel=0.02)
     assert mesh_report(mesh)["elements"] == len(mesh.tets)
+
+
+def test_every_body_must_reach_the_platen(tmp_path: Path) -> None:
+    """One that does not would float, and its press converge without a force."""
+
+    def two(name: str, raised: float) -> Scene:
+        one, other = trimesh.creation.box([4.0, 4.0, 4.0]), trimesh.creation.box([4.0, 4.0, 4.0])
+        other.apply_translation([6.0, 0.0, raised])
+        trimesh.util.concatenate([one, other]).export(tmp_path / name)
+        return Scene(object=Body(shape="mesh", mesh=str(tmp_path / name)), fidelity="fast")
+
+    assert volume(mesh_object(two("level.stl", 0.0), progress=QUIET)) * 1e9 == pytest.approx(128.0, rel=0.02)
+    floating = two("floating.stl", 1.0)
+    for _ in ("filled", "from the cache"):
+        with pytest.raises(MeshingError, match=r"floating.stl\) is 2 bodies apart, 1 of .* \(the lowest ends at 4 of 5 mm\); join them"):
+            mesh_object(floating, progress=QUIET)
+
+
+def test_a_cavity_must_face_inward(tmp_path: Path, wanted: Wanted) -> None:
+    outer, inner = trimesh.creation.icosphere(2, 5.0), trimesh.creation.icosphere(2, 3.5)
+
+    def ball(name: str) -> Scene:
+        trimesh.util.concatenate([outer, inner]).export(tmp_path / name)
+        return Scene(object=Body(shape="mesh", mesh=str(tmp_path / name)), fidelity="fast")
+
+    with pytest.raises(SceneError, match=r"ball.stl.*7 x 7 x 7 mm lies in another and its faces point outward.*flip them for a cavity"):
+        mesh_object(ball("ball.stl"), progress=QUIET)
+    inner.invert()
+    assert wanted(ball("hollow.stl"))
 
 
 def test_what_cannot_be_filled_says_so() -> None:

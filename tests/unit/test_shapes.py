@@ -10,6 +10,7 @@ import trimesh
 from gelsim.errors import SceneError
 from gelsim.geometry import TriMesh, enclosed_volume, face_shape_functions, is_closed
 from gelsim.inclusions import flesh, grain_centres
+from gelsim.inspection import inspect
 from gelsim.scene import Body, Gel, Grains, Press, Scene, Skin
 from gelsim.shapes import (
     gel_height,
@@ -356,6 +357,33 @@ def test_what_is_no_solid(tmp_path: Path) -> None:
         with pytest.raises(SceneError, match=message) as caught:
             object_surface(Body(shape="mesh", mesh=path), edge_length=1.0)
         assert "\n" not in str(caught.value) and "object.mesh" in str(caught.value) and "allowed" in str(caught.value)
+
+
+def block(extent: float, x: float = 0.0, *, inward: bool = False) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box([extent] * 3)
+    mesh.apply_translation([x, 0.0, 0.0])
+    if inward:
+        mesh.invert()
+    return mesh
+
+
+BODIES = {  # with what is filled [mm³] and what is noted
+    "that touch": ([block(4), block(3, 3.5)], 91.0, []),
+    "that overlap": ([block(4), block(4, 3.0)], 112.0, ["the sum of their volumes is 16 mm³ more"]),
+    "around a cavity, a ball loose in it": ([block(6), block(4, inward=True), block(2)], 160.0, []),
+    "inside one": ([block(6), block(4)], 216.0, ["4 x 4 x 4 mm lies in another"]),
+    "inside out beside one": ([block(6), block(4, 6.0, inward=True)], 216.0, ["4 x 4 x 4 mm is inside out"]),
+    "over a cavity": ([block(6), block(4, inward=True), block(3, 2.5)], 170.0, ["the sum of their volumes is 9 mm³ more"]),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_bodies_of_a_file_are_counted_as_they_are_filled(name: str, tmp_path: Path) -> None:
+    bodies, expected, noted = BODIES[name]
+    facts = inspect(Path(part(tmp_path, trimesh.util.concatenate(bodies))))
+    assert facts["volume_mm3"] == pytest.approx(expected, rel=1e-6)
+    notes = facts.get("notes", [])
+    assert len(notes) == len(noted) and all(text in note for text, note in zip(noted, notes, strict=True))
 
 
 def test_a_fine_file_is_thinned_within_its_tolerance(tmp_path: Path) -> None:
