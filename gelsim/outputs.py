@@ -35,6 +35,9 @@ RESULTS = (
 PICTURES = "frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png"
 """Those of them that are drawn."""
 
+ACCOUNT = {"meshes": dict, "choices": dict, "warnings": list, "info": dict, "mesh_sha256": str}
+"""What press.npz holds for the report of a press that is taken from it (`pipeline.Record`, `Deformation.info`), and of its mesh file."""
+
 VIDEO_SECONDS = 2.5
 """A press lasts about this long in video.mp4 (in truth: depth over speed, 0.2 s): long enough to look at ten frames."""
 VIDEO_FPS = (4, 30)
@@ -142,8 +145,8 @@ def read_account(path: Path) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as data:
             account = json.loads(str(data["account"])) if "account" in data.files else {}
-        if not isinstance(account, dict):
-            raise ValueError("its account is no table")
+        if not isinstance(account, dict) or any(type(account.get(name, kind())) is not kind for name, kind in ACCOUNT.items()):
+            raise ValueError("its account is none")
     except (OSError, ValueError, KeyError, RecursionError, zipfile.BadZipFile) as error:
         raise SceneError(f"{path}: is not a press.npz of gelsim ({error})") from None
     return account

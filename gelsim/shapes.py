@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
@@ -341,7 +340,7 @@ def load_mesh(body: Body) -> TriMesh:
     """The surface of shape = "mesh", lowest point at the origin [m]; raises SceneError for a file that is no solid."""
     if not body.mesh:
         raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
-    return read_surface(str(Path(body.mesh).expanduser()), body.mesh_unit)[0]
+    return read_surface(body.mesh, body.mesh_unit)[0]
 
 
 def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-5, symmetry: frozenset[str] = frozenset()) -> TriMesh:

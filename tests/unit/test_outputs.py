@@ -49,6 +49,19 @@ def test_other_files_are_not_taken_for_a_press(tmp_path: Path) -> None:
             outputs.read_press(tmp_path / name)
 
 
+def test_an_account_is_read_as_one_or_not_at_all(tmp_path: Path, deformation: Deformation) -> None:
+    path = tmp_path / "press.npz"
+    told = {"meshes": {"gel": {"tets": 7}}, "choices": {"drift": np.float64(0.5)}, "warnings": ["thin"], "info": {}}
+    outputs.write_press(path, Scene(), deformation, told)
+    assert outputs.read_account(path) == told
+    outputs.write_press(path, Scene(), deformation)
+    assert outputs.read_account(path) == {}
+    for damaged in ({"meshes": [1]}, {"warnings": "thin"}, {"info": None}, {"mesh_sha256": 3}):
+        outputs.write_press(path, Scene(), deformation, damaged)
+        with pytest.raises(SceneError, match="is not a press.npz"):
+            outputs.read_account(path)
+
+
 def test_sampling_is_exact_at_nodes_and_for_quadratic_fields(sheet_motion: SurfaceMotion, rng: np.random.Generator) -> None:
     nodes = rng.choice(len(sheet_motion.rest), 20, replace=False)
     _, u = outputs.sample_surface(sheet_motion, sheet_motion.rest[nodes, :2])
