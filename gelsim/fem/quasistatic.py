@@ -82,7 +82,7 @@ class Course:
 
 
 def run_press(problem: PressProblem, *, progress: Progress | None = None, throw: bool = True) -> Deformation:
-    """Solves a press. `progress(done, total)` is called after each recorded state.
+    """Solves a press. `progress(done, total)` is called after each recorded state, and on the search for the approach of a force.
 
     Raises:
         SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
@@ -111,7 +111,13 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     found = course.found if press.depth_mm is None else (press.depth_mm / MM, PressEnd.DEPTH, "")
     if found is None:
         search = _Search(problem)
-        yield from search.run(CAREFUL_STEP, int(search.depth / CAREFUL_STEP) + 2, None, CAREFUL_STEP, before)
+
+        def share(*_: int) -> None:
+            """The part of the force that is reached, in states; recording then counts them anew."""
+            if progress is not None and press.force_n is not None:
+                progress(round(float(np.clip(search.normal_force / press.force_n, 0.0, 1.0)) * (press.frames - 1)), press.frames)
+
+        yield from search.run(CAREFUL_STEP, int(search.depth / CAREFUL_STEP) + 2, share, CAREFUL_STEP, before)
         found = search.found()
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None

