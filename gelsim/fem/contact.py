@@ -360,7 +360,7 @@ class SurfaceContact:
     def settle(self) -> None:
         """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points.
 
-        Friction that linear functions cannot hold, where normals differ within a face of the gel (at a sharp edge), each point keeps.
+        Friction that linear functions cannot hold, over a sharp edge or where contact ends within a face, each point keeps.
         """
         self.augment()
         if self.frictional:
