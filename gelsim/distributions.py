@@ -182,22 +182,28 @@ def _between(rng: np.random.Generator, ends: Sequence[float], gaps: Sequence[Seq
     return drawn
 
 
+def field_kind(name: str, full: str) -> Any:
+    """The type of a field of the scene, or a SceneError that begins with `full`."""
+    kind: Any = Scene
+    for key in name.split("."):
+        if kind is None or not dataclasses.is_dataclass(kind) or key not in field_types(kind):  # type: ignore[arg-type]
+            known = [] if kind is None or not dataclasses.is_dataclass(kind) else list(field_types(kind))  # type: ignore[arg-type]
+            raise SceneError(f"{full}: unknown field{nearest(key, known)}")
+        kind = field_types(kind)[key]  # type: ignore[arg-type]
+        if typing.get_origin(kind) is tuple and dataclasses.is_dataclass(typing.get_args(kind)[0]):
+            kind = typing.get_args(kind)[0]
+    if dataclasses.is_dataclass(kind):
+        raise SceneError(f"{full}: is a whole table; name one field of it")
+    return kind
+
+
 def check_fields(table: Mapping[str, Any], where: str, sections: tuple[str, ...] | None = None) -> None:
     """Raises SceneError for a name that is no field of the scene (or of other `sections`), or a distribution that is wrong."""
     if not isinstance(table, Mapping):
         raise SceneError(f"{where} = {table!r}: expected a table of fields")
     for name, value in table.items():
         full = f"{where}.{name!r}"
-        kind: Any = Scene
-        for key in name.split("."):
-            if kind is None or not dataclasses.is_dataclass(kind) or key not in field_types(kind):  # type: ignore[arg-type]
-                known = [] if kind is None or not dataclasses.is_dataclass(kind) else list(field_types(kind))  # type: ignore[arg-type]
-                raise SceneError(f"{full}: unknown field{nearest(key, known)}")
-            kind = field_types(kind)[key]  # type: ignore[arg-type]
-            if typing.get_origin(kind) is tuple and dataclasses.is_dataclass(typing.get_args(kind)[0]):
-                kind = typing.get_args(kind)[0]
-        if dataclasses.is_dataclass(kind):
-            raise SceneError(f"{full}: is a whole table; name one field of it")
+        field_kind(name, full)
         if sections is not None and name.split(".")[0] not in sections:
             raise SceneError(f"{full}: here only {', '.join(sections)} may be drawn")
         check_distribution(value, full, name)

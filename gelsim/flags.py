@@ -20,7 +20,7 @@ from gelsim import scene as scene_module
 from gelsim.errors import SceneError
 from gelsim.fields import field_types
 from gelsim.limits import CHOICES
-from gelsim.scene import Scene
+from gelsim.scene import STIFFNESS, Scene
 from gelsim.scene_file import PRESET_SECTIONS, Layer
 from gelsim.units import unit_of
 
@@ -96,7 +96,7 @@ def layer_of(options: argparse.Namespace) -> Layer:
     elif options.shore_scale is not None:
         raise SceneError(f"flag --shore-scale {options.shore_scale}: give the number too, --shore N")
     body = layer.get("object", {})
-    if body.get("rigid") is True and (hardness := [name for name in ("shore_00", "shore_a", "youngs_modulus_kpa") if name in body]):
+    if body.get("rigid") is True and (hardness := [name for name in STIFFNESS if name in body]):
         raise SceneError(f"flag --rigid: a rigid object has no hardness, and object.{hardness[0]} was given too")
     return layer
 

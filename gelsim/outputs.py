@@ -28,12 +28,10 @@ from gelsim.scene_file import dump_scene
 from gelsim.tables import read_csv
 from gelsim.units import MM
 
-RESULTS = (
-    "scene.toml", "report.json", "press.npz", "probe.csv", "frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png",
-)  # fmt: skip
-"""Names that gelsim writes into a result folder; `force` removes these and nothing else."""
 PICTURES = "frames", "radiance", "video.mp4", "height.npz", "markers.csv", "sheet.png"
-"""Those of them that are drawn."""
+"""Names of what is drawn into a result folder."""
+RESULTS = "scene.toml", "report.json", "press.npz", "probe.csv", *PICTURES
+"""Names that gelsim writes into a result folder; `force` removes these and nothing else."""
 
 ACCOUNT = {"meshes": dict, "choices": dict, "warnings": list, "info": dict, "mesh_sha256": str}
 """What press.npz holds for the report of a press that is taken from it (`pipeline.Record`, `Deformation.info`), and of its mesh file."""

@@ -401,20 +401,21 @@ def run(
     if render_frames:
         # What cannot be drawn should be known before minutes go into the press.
         scene, _ = _choose_renderer(scene, device, record)
-    earlier = _earlier_press(scene, folder.path, solving) if resume else None
+    content = digest(Path(scene.object.mesh)) if scene.object.mesh else ""  # before it is solved, which takes minutes
+    earlier = _earlier_press(scene, content, folder.path, solving) if resume else None
     if earlier is None:
         try:
             deformation = press(scene, device=device, progress=progress, record=solving)
         except SolveError as error:
             if isinstance(error.deformation, Deformation):
-                _write_mechanics(folder, scene, error.deformation, solving)
+                _write_mechanics(folder, scene, content, error.deformation, solving)
                 _write_probe(folder, error.deformation, points)
                 record.add(solving)
                 report = _report(scene, device, record, error.deformation, start, out) | {"error": str(error)}
                 folder.write("report.json", lambda path: outputs.write_report(path, report))
                 raise SolveError(f"{error} (what was solved is in {out})", error.deformation) from None
             raise
-        _write_mechanics(folder, scene, deformation, solving)
+        _write_mechanics(folder, scene, content, deformation, solving)
     else:
         deformation, before = earlier
         solving.choices["press"] = "taken from the folder (--resume)"
@@ -477,8 +478,11 @@ def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, 
     return scene, optics
 
 
-def _earlier_press(scene: Scene, out: Path, record: Record) -> tuple[Deformation, Scene] | None:
-    """The press that lies in the folder and the scene that it was made for, if it is whole and of the same mechanics; fills `record`."""
+def _earlier_press(scene: Scene, content: str, out: Path, record: Record) -> tuple[Deformation, Scene] | None:
+    """The press that lies in the folder and the scene that it was made for, if it is whole and of the same mechanics; fills `record`.
+
+    `content`: the digest of the scene's mesh file.
+    """
     if not (out / "press.npz").exists():
         return None
     if not (out / "scene.toml").exists():
@@ -491,7 +495,7 @@ def _earlier_press(scene: Scene, out: Path, record: Record) -> tuple[Deformation
     deformation, account = outputs.read_press(out / "press.npz"), outputs.read_account(out / "press.npz")
     if deformation.status is not SolveStatus.CONVERGED:
         return None
-    if scene.object.mesh is not None and account.get("mesh_sha256") != digest(Path(scene.object.mesh)):
+    if scene.object.mesh is not None and account.get("mesh_sha256") != content:
         raise SceneError(
             f"--resume {out}: its press was made with another {scene.object.mesh}; give --force to solve it anew, or another --out"
         )
@@ -500,11 +504,11 @@ def _earlier_press(scene: Scene, out: Path, record: Record) -> tuple[Deformation
     return deformation, earlier
 
 
-def _write_mechanics(folder: outputs.ResultFolder, scene: Scene, deformation: Deformation, record: Record) -> None:
+def _write_mechanics(folder: outputs.ResultFolder, scene: Scene, content: str, deformation: Deformation, record: Record) -> None:
     """The press in place of earlier results, with what `_earlier_press` reads of it."""
-    account: dict[str, Any] = {"meshes": record.meshes, "choices": record.choices, "warnings": record.warnings, "info": deformation.info}
-    if scene.object.mesh is not None:
-        account["mesh_sha256"] = digest(Path(scene.object.mesh))
+    account = {
+        "meshes": record.meshes, "choices": record.choices, "warnings": record.warnings, "info": deformation.info, "mesh_sha256": content
+    }  # fmt: skip
     folder.remove()
     folder.write("scene.toml", lambda path: outputs.write_scene(path, scene))
     folder.write("press.npz", lambda path: outputs.write_press(path, scene, deformation, account))

@@ -19,11 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.distributions import check_fields
+from gelsim.distributions import check_fields, field_kind
 from gelsim.errors import SceneError
-from gelsim.fields import field_types, nearest
+from gelsim.fields import nearest
 from gelsim.ledger import Row
-from gelsim.scene import Scene
 from gelsim.scene_file import Layer, anchored, from_folder, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
@@ -206,10 +205,8 @@ def check_axis(where: str, name: str, values: Any) -> Any:
         if list(values) != [kind] or kind not in RANGES:
             raise SceneError(f"{where}: expected a list of values, or a range: {' or '.join(f'{{{r} = [a, b]}}' for r in RANGES)}")
         check_fields({name: values}, table)
-        hint: Any = Scene
-        for key in name.split("."):
-            hint = field_types(hint)[key]
-        if float not in (hint.__args__ if isinstance(hint, types.UnionType) else (hint,)):
+        of_field = field_kind(name, where)
+        if float not in (of_field.__args__ if isinstance(of_field, types.UnionType) else (of_field,)):
             raise SceneError(f"{where}: takes no fractions, so it has no range; gelsim study takes a list of its values")
         return values
     if not isinstance(values, list) or not values:
