@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from gelsim.fem.pattern import PairPattern, add_block, find_pair
+from gelsim.fem.pattern import PairPattern, add_block, pair_offset
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 
@@ -291,11 +291,11 @@ def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), 
                       missing: wp.array(dtype=wp.int32)):  # fmt: skip
     if pattern.count[a] == 0 or pattern.count[b] == 0:
         return
-    if a != b:
-        if find_pair(pattern, wp.min(a, b), wp.max(a, b)) < 0:
-            missing[0] = 1
-            return
-    add_block(pattern, values, a, b, block)
+    offset = pair_offset(pattern, a, b)
+    if offset < 0:
+        missing[0] = 1
+        return
+    add_block(pattern, values, a, b, offset, block)
 
 
 @wp.kernel(enable_backward=False)

@@ -19,7 +19,7 @@ import glob
 import os
 import site
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from ctypes.util import find_library
@@ -38,6 +38,9 @@ SHIFTS = (1e-3, 8e-3, 0.06, 0.5)
 one below that which was last enough."""
 
 
+Product = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
 def find_mkl() -> str | None:
     """Path or name of MKL's single dynamic library, or None."""
     for prefix in (sys.prefix, site.USER_BASE or sys.prefix):
@@ -45,6 +48,44 @@ def find_mkl() -> str | None:
         for path in sorted(path for place in places for path in glob.glob(os.path.join(prefix, *place))):
             return path
     return find_library("mkl_rt")
+
+
+class _Description(ctypes.Structure):
+    """MKL's `matrix_descr`."""
+
+    _fields_ = (("type", ctypes.c_int), ("mode", ctypes.c_int), ("diagonal", ctypes.c_int))
+
+
+_SYMMETRIC_UPPER = _Description(21, 41, 50)  # with its diagonal
+
+
+class MklProduct:
+    """x to K x, of which MKL reads the upper triangle once, on both cores; SciPy reads it twice, on one."""
+
+    def __init__(self, mkl: ctypes.CDLL, indptr: NDArray[np.int32], indices: NDArray[np.int32], values: NDArray[np.float64]) -> None:
+        self._mkl, self._read, self._handle = mkl, (indptr, indices, values), ctypes.c_void_p()
+        n, zero_based = ctypes.c_int(len(indptr) - 1), ctypes.c_int(0)
+        arrays = (ctypes.c_void_p(array.ctypes.data) for array in (indptr, indptr[1:], indices, values))
+        self._check(mkl.mkl_sparse_d_create_csr(ctypes.byref(self._handle), zero_based, n, n, *arrays))
+
+    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = np.ascontiguousarray(x, np.float64)
+        if len(x) != len(self._read[0]) - 1:
+            raise ValueError(f"a vector of {len(x)} for a matrix of {len(self._read[0]) - 1} rows")
+        y = np.empty_like(x)
+        plain, one, none = ctypes.c_int(10), ctypes.c_double(1.0), ctypes.c_double(0.0)
+        arrays = (ctypes.c_void_p(array.ctypes.data) for array in (x, y))
+        self._check(self._mkl.mkl_sparse_d_mv(plain, one, self._handle, _SYMMETRIC_UPPER, next(arrays), none, next(arrays)))
+        return y
+
+    def __del__(self) -> None:
+        if self._handle:
+            self._mkl.mkl_sparse_destroy(self._handle)
+
+    @staticmethod
+    def _check(status: int) -> None:
+        if status != 0:
+            raise np.linalg.LinAlgError(f"MKL's sparse product: status {status}")
 
 
 class PardisoSolver:
@@ -123,6 +164,10 @@ class PardisoSolver:
         assert x is not None
         return x
 
+    def product(self, values: NDArray[np.float64]) -> Product:
+        """x to K x for a matrix of the pattern analysed last; `values` must stay as they are while it serves."""
+        return MklProduct(self._mkl, self._indptr, self._indices, values)
+
     def release(self) -> None:
         if self._analysed:
             self._call(-1)
@@ -159,13 +204,18 @@ class SuperLUSolver:
             return np.full_like(b, np.nan)
         return self._lu.solve(b.T).T if b.ndim > 1 else self._lu.solve(b)
 
+    def product(self, values: NDArray[np.float64]) -> Product:
+        upper = sp.csr_matrix((values, self._indices, self._indptr), shape=(len(self._indptr) - 1,) * 2)
+        diagonal = upper.diagonal()
+        return lambda x: upper @ x + upper.T @ x - diagonal * x
+
 
 class SymmetricSystem:
     """Solves (K + B_tᵀ B_n) x = b with a direct factorisation of the symmetric K and, for the low-rank unsymmetric rest, GMRES.
 
     Args:
         positive: Unknowns in which K of an equilibrium that bodies rest in is positive (displacements), for `exact` steps.
-    Attributes: `factorisations` and `solves` done so far.
+    Attributes: `factorisations` and `solves` done so far; `product`, x to K x of the last matrix.
     """
 
     # Friction couples few points: a handful of iterations. Where they fall short the step is inexact, and Newton corrects it.
@@ -174,7 +224,7 @@ class SymmetricSystem:
     # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
     # factors. On one core, in three dimensions, these cost 20 to 40 products.
     FORCING = 0.03
-    WORN = 14
+    WORN = 13
     # Operations of a factorisation over the entries that a product and a solve read; where it is lower, new factors cost less than the
     # products (`python docs/studies/rough_steps.py`).
     CHEAP = 180.0
@@ -197,11 +247,9 @@ class SymmetricSystem:
         self.factored = self._fresh = self._worn = False
 
     def update(self, values: NDArray[np.float64]) -> None:
-        """Takes a new matrix; the factors stay those of an earlier one."""
+        """Takes a new matrix, whose `values` stay the caller's until the next; the factors stay those of an earlier one."""
         self._values, self._fresh = values, False
-        indices, indptr = self._pattern
-        upper = sp.csr_matrix((values, indices, indptr), shape=(len(indptr) - 1,) * 2)
-        self._matrix = upper, upper.T, upper.diagonal()
+        self.product = self.direct.product(values)
 
     def factorise(self) -> None:
         """Makes factors of the last matrix."""
@@ -209,11 +257,6 @@ class SymmetricSystem:
         self.factorisations += 1
         self.factored = self._fresh = True
         self._worn, self._checked = False, not self.direct.single
-
-    def product(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """K x of the last matrix."""
-        upper, lower, diagonal = self._matrix
-        return upper @ x + lower @ x - diagonal * x
 
     def _direct(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
         """K⁻¹ b. A factor in float32 is judged by its first answer, which is refined or, where that does not help, had from float64."""
@@ -252,7 +295,7 @@ class SymmetricSystem:
                 product = self.product(v)
                 return self.direct.solve(product if coupling is None else product + coupling[0].T @ (coupling[1] @ v))
 
-            operator = LinearOperator((len(b), len(b)), matvec=preconditioned)  # type: ignore[call-arg]
+            operator = LinearOperator((len(b), len(b)), matvec=preconditioned, dtype=b.dtype)  # type: ignore[call-arg]
             x, failed = gmres(operator, start, rtol=self.FORCING, restart=self.KRYLOV_LIMIT, maxiter=1)
             self._worn = self.solves - before > self.WORN
             if not failed:
@@ -291,7 +334,7 @@ class SymmetricSystem:
         def coupled(v: NDArray[np.float64]) -> NDArray[np.float64]:
             return v + self._direct(along.T @ (closing @ v))
 
-        operator = LinearOperator((len(b), len(b)), matvec=coupled)  # type: ignore[call-arg]
+        operator = LinearOperator((len(b), len(b)), matvec=coupled, dtype=b.dtype)  # type: ignore[call-arg]
         return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]
 
 

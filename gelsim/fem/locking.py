@@ -10,7 +10,7 @@ import warp as wp
 
 from gelsim.fem.assembly import Solids
 from gelsim.fem.hyperelastic import cofactor, volume_change
-from gelsim.fem.pattern import PairPattern, add_block, add_entry, find_pair
+from gelsim.fem.pattern import PairPattern, add_block, add_entry, find_pair, pair_offset
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 
@@ -79,7 +79,7 @@ def locked_tangent(
                 outer_ab = wp.outer(aa, ab)
                 block = wp.diag(wp.vec3d(d, d, d)) + wp.outer((-two * slope) * aa, fb) + wp.outer((-two * slope) * fa, ab)
                 block += (two * i1 * slope + pj + w * kappa[t] * j * j) * outer_ab + (slope * i1 - pj) * wp.transpose(outer_ab)
-                add_block(pattern, values, tets[t, a], tets[t, b], block)
+                add_block(pattern, values, tets[t, a], tets[t, b], pair_offset(pattern, tets[t, a], tets[t, b]), block)
         for a in range(4):
             for b in range(a, 4):
                 offset = 0

@@ -88,6 +88,7 @@ class Newton:
     def __init__(self, solids: Solids, contact: SurfaceContact, options: NewtonOptions) -> None:
         self.solids, self.contact, self.options = solids, contact, options
         self.pattern: SymmetricPattern | None = None
+        self._values: wp.array  # of the pattern: fresh memory costs more than its clearing
         self.displacement_unknown = np.zeros(solids.unknowns)
         self.displacement_unknown[solids.equation[:, :3][solids.free[:, :3]]] = 1.0
         self.system = SymmetricSystem(self.displacement_unknown > 0.0)
@@ -113,17 +114,18 @@ class Newton:
         )
 
     def tangent(self, geometric: bool) -> Array:
-        """The tangent's values at the last `residual`; extends the pattern where contact has moved beyond it."""
+        """The tangent's values at the last `residual`, good until the next; extends the pattern where contact has moved beyond it."""
         solids = self.solids
         for _ in range(2):
             if self.pattern is not None:
-                values = wp.zeros(len(self.pattern.indices), dtype=wp.float64, device=solids.device)
-                if self.contact.add_tangent(self.x, self.pattern.pairs, values, geometric):
-                    solids.add_tangent(self.pattern.pairs, values)
-                    return values.numpy()  # type: ignore[return-value]
+                self._values.zero_()
+                if self.contact.add_tangent(self.x, self.pattern.pairs, self._values, geometric):
+                    solids.add_tangent(self.pattern.pairs, self._values)
+                    return self._values.numpy()  # type: ignore[return-value]
             slave, master = self.contact.node_pairs(margin=0.4)
             keys = np.union1d(solids.keys, pair_keys(slave, master, solids.node_count))
             self.pattern = build_pattern(solids.free, keys, solids.device)
+            self._values = wp.zeros(len(self.pattern.indices), dtype=wp.float64, device=solids.device)
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 

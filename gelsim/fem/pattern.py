@@ -82,12 +82,35 @@ def pair_offset(pattern: PairPattern, a: wp.int32, b: wp.int32) -> wp.int32:
 
 
 @wp.func
-def add_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, block: wp.mat33d):
-    """Adds the displacement block of nodes (a, b), in either order."""
-    offset = pair_offset(pattern, a, b)
+def row_start(pattern: PairPattern, i: wp.int32, li: wp.int32, offset: wp.int32) -> wp.int32:
+    """Where in the row of node i's unknown number `li` the columns of a later node begin, `offset` being `find_pair` of the two."""
+    k = pattern.count[i]
+    return pattern.base[i] + li * (k + pattern.width[i]) - li * (li - 1) // 2 + k - li + offset
+
+
+@wp.func
+def add_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, offset: wp.int32, block: wp.mat33d):
+    """Adds the displacement block of nodes (a, b), in either order; `offset` is `pair_offset` of the two."""
+    i = wp.min(a, b)
+    j = wp.max(a, b)
     for c in range(3):
-        for d in range(3):
-            add_entry(pattern, values, a, c, b, d, offset, block[c, d])
+        li = pattern.local[i, c]
+        if li >= 0:
+            if a == b:
+                start = pattern.base[i] + li * (pattern.count[i] + pattern.width[i]) - li * (li - 1) // 2 - li
+                for d in range(c, 3):
+                    lj = pattern.local[j, d]
+                    if lj >= 0:
+                        wp.atomic_add(values, start + lj, block[c, d])
+            else:
+                start = row_start(pattern, i, li, offset)
+                for d in range(3):
+                    lj = pattern.local[j, d]
+                    if lj >= 0:
+                        if a < b:
+                            wp.atomic_add(values, start + lj, block[c, d])
+                        else:
+                            wp.atomic_add(values, start + lj, block[d, c])
 
 
 @dataclass(frozen=True, eq=False)

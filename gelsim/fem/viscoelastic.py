@@ -23,7 +23,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gelsim.fem.elements import TetQuadrature
-from gelsim.fem.pattern import PairPattern, add_block
+from gelsim.fem.pattern import PairPattern, add_block, pair_offset
 from gelsim.materials import OGDEN_TERMS
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
@@ -59,7 +59,7 @@ def history_tangent(
             d = wp.float64(0.0)
             for q in range(weights.shape[1]):
                 d += weights[t, q] * wp.dot(gradients[t, q, a], history[t, q] * gradients[t, q, b])
-            add_block(pattern, values, tets[t, a], tets[t, b], wp.diag(wp.vec3d(d, d, d)))
+            add_block(pattern, values, tets[t, a], tets[t, b], pair_offset(pattern, tets[t, a], tets[t, b]), wp.diag(wp.vec3d(d, d, d)))
 
 
 def prony_arrays(series: list[tuple[tuple[float, float], ...]]) -> tuple[Array, Array]:

@@ -54,6 +54,26 @@ def test_assembly_equals_scipys() -> None:
     assert np.abs(tangent_of(solids).toarray() - wanted).max() <= 150 * EPS * np.abs(wanted).max()
 
 
+def test_a_tangent_by_threads_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice, as what the threads add to is kept; and with a pattern of more entries in between."""
+    solids = small_solids(cells=7)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    wanted = tangent_of(solids)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert solids._threads() == 3
+    for _ in range(2):
+        # the order of up to 24 tets' parts of an entry, as in test_assembly_equals_scipys
+        assert abs(tangent_of(solids) - wanted).max() <= 150 * EPS * abs(wanted).max()
+    assert len(solids._apart) == 2
+    more = np.union1d(solids.keys, pair_keys(np.array([0], np.int32), np.array([solids.node_count - 1], np.int32), solids.node_count))
+    pattern = build_pattern(solids.free, more, "cpu")
+    values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
+    solids.add_tangent(pattern.pairs, values)
+    assert np.isclose(values.numpy().sum(), sp.triu(wanted).sum(), rtol=1e-9)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert solids._threads() == 1 and small_solids()._threads() == 0
+
+
 def test_pattern_is_the_upper_triangle_sorted() -> None:
     rng = np.random.default_rng(4)
     free = rng.random((12, 4)) < 0.6
@@ -101,6 +121,23 @@ def test_solvers_agree(nu: float) -> None:
         assert np.linalg.norm(matrix @ x - right) <= 10 * EPS * (sp.linalg.norm(matrix) * np.linalg.norm(x))
         assert np.linalg.norm(x - answers[0]) <= 20 * EPS * condition * np.linalg.norm(answers[0])
     assert np.linalg.norm(answers[0]) > 0
+
+
+@pytest.mark.parametrize("kind", [SuperLUSolver, pytest.param(PardisoSolver, marks=needs_mkl)])
+def test_products_are_of_the_whole_matrix(kind: type[SuperLUSolver | PardisoSolver]) -> None:
+    solids = small_solids()
+    pattern = build_pattern(solids.free, solids.keys, "cpu")
+    values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
+    solids.add_tangent(pattern.pairs, values)
+    solver = kind()
+    solver.analyse(pattern.indptr, pattern.indices, values.numpy())
+    product, whole = solver.product(values.numpy()), tangent_of(solids).toarray()
+    rng = np.random.default_rng(3)
+    for x in (rng.standard_normal(pattern.size), rng.standard_normal(2 * pattern.size)[::2], rng.integers(-3, 3, pattern.size, np.int8)):
+        # a row has a hundred entries
+        assert np.abs(product(x) - whole @ x).max() <= 100 * EPS * (np.abs(whole) @ np.abs(x)).max()
+    with pytest.raises(ValueError, match=str(pattern.size)):  # not memory beyond the vector
+        product(x[:-1])
 
 
 def test_system_with_the_unsymmetric_part_of_friction() -> None:
