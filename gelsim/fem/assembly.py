@@ -512,7 +512,7 @@ class Solids:
         launches = []
         for first, last, part in zip(bounds[:-1], bounds[1:], [values, *self._apart], strict=True):
             inputs = [array if number in shared else array[first:last] for number, array in enumerate(self._inputs)]
-            arguments = [*inputs, self._held[0][first:last], pairs, part]
+            arguments = [*inputs, *(array[first:last] for array in self._held), pairs, part]
             launches.append(wp.launch(self._tangent, last - first, arguments, device=self.device, record_cmd=True))
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(wp.Launch.launch, launches))  # a kernel's loop holds no lock of Python's
