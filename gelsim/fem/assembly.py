@@ -499,7 +499,7 @@ class Solids:
             return 1
         granted = os.environ.get("OMP_NUM_THREADS", "")
         cores = int(granted) if granted.isdigit() else os.cpu_count() or 1
-        return min(cores, MOST_THREADS, self.tets.size // THREAD_NODES)
+        return max(1, min(cores, MOST_THREADS, self.tets.size // THREAD_NODES))
 
     def _add_by_threads(self, threads: int, pairs: PairPattern, values: wp.array) -> None:
         """`add_tangent` with a part of the tets for each thread; all but the first add to a matrix of their own."""

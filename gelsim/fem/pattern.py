@@ -46,6 +46,12 @@ def find_pair(pattern: PairPattern, i: wp.int32, j: wp.int32) -> wp.int32:
 
 
 @wp.func
+def row_start(pattern: PairPattern, i: wp.int32, li: wp.int32) -> wp.int32:
+    """Where in node i's row number `li` column 0 of its own would be; those of later nodes follow after its own, `count` of them."""
+    return pattern.base[i] + li * (pattern.count[i] + pattern.width[i]) - li * (li - 1) // 2 - li
+
+
+@wp.func
 def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, ca: wp.int32, b: wp.int32, cb: wp.int32,
               offset: wp.int32, value: wp.float64):  # fmt: skip
     """Adds to the entry (node a component ca, node b component cb) and so to its mirror; for a = b only the upper half is kept.
@@ -64,13 +70,12 @@ def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.in
         lj = swap
     if li < 0 or lj < 0:
         return
-    k = pattern.count[i]
-    start = pattern.base[i] + li * (k + pattern.width[i]) - li * (li - 1) // 2
+    start = row_start(pattern, i, li)
     if i == j:
         if lj >= li:
-            wp.atomic_add(values, start + lj - li, value)
+            wp.atomic_add(values, start + lj, value)
     else:
-        wp.atomic_add(values, start + k - li + offset + lj, value)
+        wp.atomic_add(values, start + pattern.count[i] + offset + lj, value)
 
 
 @wp.func
@@ -82,35 +87,24 @@ def pair_offset(pattern: PairPattern, a: wp.int32, b: wp.int32) -> wp.int32:
 
 
 @wp.func
-def row_start(pattern: PairPattern, i: wp.int32, li: wp.int32, offset: wp.int32) -> wp.int32:
-    """Where in the row of node i's unknown number `li` the columns of a later node begin, `offset` being `find_pair` of the two."""
-    k = pattern.count[i]
-    return pattern.base[i] + li * (k + pattern.width[i]) - li * (li - 1) // 2 + k - li + offset
-
-
-@wp.func
 def add_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, b: wp.int32, offset: wp.int32, block: wp.mat33d):
     """Adds the displacement block of nodes (a, b), in either order; `offset` is `pair_offset` of the two."""
     i = wp.min(a, b)
     j = wp.max(a, b)
+    first = offset
+    if i != j:
+        first += pattern.count[i]
     for c in range(3):
         li = pattern.local[i, c]
         if li >= 0:
-            if a == b:
-                start = pattern.base[i] + li * (pattern.count[i] + pattern.width[i]) - li * (li - 1) // 2 - li
-                for d in range(c, 3):
-                    lj = pattern.local[j, d]
-                    if lj >= 0:
+            start = row_start(pattern, i, li) + first
+            for d in range(3):
+                lj = pattern.local[j, d]
+                if lj >= 0 and (i != j or d >= c):
+                    if a <= b:
                         wp.atomic_add(values, start + lj, block[c, d])
-            else:
-                start = row_start(pattern, i, li, offset)
-                for d in range(3):
-                    lj = pattern.local[j, d]
-                    if lj >= 0:
-                        if a < b:
-                            wp.atomic_add(values, start + lj, block[c, d])
-                        else:
-                            wp.atomic_add(values, start + lj, block[d, c])
+                    else:
+                        wp.atomic_add(values, start + lj, block[d, c])
 
 
 @dataclass(frozen=True, eq=False)
