@@ -52,10 +52,13 @@ GRIP = 0.3
 SOON = 30
 """Failed iterations after which another try goes on from where one stands: some two solves."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
+NUDGE = 0.003
+"""μ that holds a smooth tip in its place which nothing else holds: a thousandth of the force at most at `balanced`."""
 SLIDING = Try(12, on_object=True)
 """The first try of a smooth soft object that nothing holds sideways, and of a ring or a block with waves that friction holds: few of the
 gel's points on each of its smaller faces warp these, and their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*,
 *Presses that stumble*)."""
+NUDGED = replace(SLIDING, friction=(NUDGE, STICK), goes_on=True)
 
 
 @cache
@@ -89,8 +92,9 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    Other tries go on from where the one before it stands, not for long each: with contact's points on the other surface, where friction
-    holds a soft object or a smooth one may slide (a ring, a block with waves and one that slides begin with their own); then with twice the
+    Other tries go on from where the one before it stands, not for long each: with a little friction (`NUDGE`), where a smooth soft object
+    slides without any; with contact's points on the other surface, where friction holds a soft object or a smooth one may slide (a ring, a
+    block with waves and one that slides begin with their own); then with twice the
     contact points, volume held at points too, and what sticks sliding at friction `STICK`. Where that does not get there, such a try
     begins at rest; where both surfaces' points may do so, each of them goes on from the other once more in between. The last try, where
     friction was less, has `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost
@@ -163,7 +167,10 @@ def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
     if isinstance(friction, str) or (scene.object.rigid and friction >= GRIP):
         return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD]
     if friction < GRIP:
-        first = [SLIDING, replace(PLAIN, goes_on=True)] if _slides(scene.object, symmetry) else [PLAIN]
+        first = [PLAIN]
+        if _slides(scene.object, symmetry):
+            nudged = [replace(SLIDING, most_wasted=SOON), NUDGED] if friction < NUDGE else [SLIDING]
+            first = [*nudged, replace(PLAIN, goes_on=True)]
         return [*first, replace(HELD, goes_on=True, most_wasted=SOON), HELD, GRIPPED]
     first = [SLIDING, PLAIN] if _uneven(scene.object) else [PLAIN, replace(PLAIN, on_object=True)]
     gels, objects = HELD, replace(HELD, on_object=True)

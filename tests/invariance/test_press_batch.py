@@ -14,7 +14,7 @@ import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, PLAIN, SLIDING, SOON, Try, solve_batch, ways
+from gelsim.fem import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
@@ -176,13 +176,31 @@ def test_points_on_the_object_are_for_what_friction_holds() -> None:
 
 
 def test_a_smooth_object_that_may_slide_begins_with_its_own_points() -> None:
-    def first(body: dict[str, object], friction: float = 0.0, planes: str = "") -> Try:
-        return ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}), frozenset(planes))[0]
+    def tries(body: dict[str, object], friction: float = 0.0, planes: str = "") -> list[Try]:
+        return ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}), frozenset(planes))
 
-    assert first({"shape": "hemisphere"}) == first({"shape": "hemisphere"}, 0.2, planes="x") == SLIDING
+    def first(body: dict[str, object], friction: float = 0.0, planes: str = "") -> Try:
+        return tries(body, friction, planes)[0]
+
+    assert first({"shape": "hemisphere"}, NUDGE) == first({"shape": "hemisphere"}, 0.2, planes="x") == SLIDING
+    # without any friction it soon has a little
+    assert tries({"shape": "hemisphere"})[:2] == [replace(SLIDING, most_wasted=SOON), NUDGED]
+    assert NUDGED not in tries({"shape": "hemisphere"}, NUDGE) + tries({"shape": "edge"}) + tries({"shape": "hemisphere"}, planes="xy")
     # mirror planes hold it, or friction; a sharp edge's points change face without end; a rigid one does not warp
     held = first({"shape": "hemisphere"}, planes="xy"), replace(first({"shape": "hemisphere"}, GRIP), most_wasted=None)
     assert {*held, first({"shape": "edge"}), first({"shape": "hemisphere", "rigid": True})} == {PLAIN}
+
+
+def test_a_nudge_is_less_than_a_thousandth_of_the_force() -> None:
+    def force(friction: float) -> float:
+        press = {"depth_mm": 1.0, "force_n": "none", "frames": 4, "symmetry": "mirror"}
+        body = {"shape": "hemisphere", "youngs_modulus_kpa": 200.0}
+        one = build_scene({"gel": {"profile": "flat"}, "object": body, "press": press, "contact": {"friction_coefficient": friction}})
+        return float(-pipeline.press(one).force[-1, 2])
+
+    free = force(0.0)
+    assert abs(force(NUDGE) / free - 1) < 1e-3
+    assert force(10 * NUDGE) / free - 1 > 1e-3, "the bound would be met by anything"
 
 
 def test_who_goes_on_and_how_long_each_may_fail() -> None:
@@ -197,6 +215,7 @@ def test_who_goes_on_and_how_long_each_may_fail() -> None:
     rest, on = (False, None), (True, SOON)
     assert tries({"shape": "hemisphere"}, GRIP) == tries({"shape": "wave"}, GRIP) == [(False, SOON), on, on, on, rest, on, on, rest]
     assert tries({"shape": "hemisphere"}, 0.1) == [rest, (True, None), on, rest, rest]
+    assert tries({"shape": "hemisphere"}, 0.0) == [(False, SOON), (True, None), (True, None), on, rest, rest]
     for held in (tries({"shape": "hemisphere", "rigid": True}, GRIP), tries({"shape": "hemisphere"}, "stick")):
         assert held == [rest, on, rest]
 
