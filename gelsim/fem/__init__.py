@@ -335,7 +335,8 @@ def differentiate_press(
     from gelsim.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
-    problem = _problem(ways(scene, gel.symmetry)[0], scene, gel, body, placement, "cpu", patient=True)
+    alone = replace(ways(scene, gel.symmetry)[0], most_wasted=None)  # there is no other to go on from it
+    problem = _problem(alone, scene, gel, body, placement, "cpu", patient=True)
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
 
 
