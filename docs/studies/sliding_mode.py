@@ -106,7 +106,7 @@ def watch(solve):  # type: ignore[no-untyped-def]
         if not go or tolerance is not None or report.status is not SolveStatus.CONVERGED:
             return report
         newton.residual(FAR, freeze=True)
-        plain, whole = newton.tangent(False), newton.tangent(True)
+        plain, whole = newton.tangent(False).copy(), newton.tangent(True)  # which is good until the next
         negative, least, mode = weakest(newton, whole)
         bare = weakest(newton, plain)[1]
         contact = newton.contact

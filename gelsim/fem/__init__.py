@@ -53,7 +53,7 @@ SOON = 30
 """Failed iterations after which another try goes on from where one stands: some two solves."""
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 NUDGE = 0.003
-"""μ that holds a smooth tip in its place which nothing else holds: a thousandth of the force at most at `balanced`."""
+"""μ that holds a smooth tip in its place which nothing else holds; of the normal force it changes a thousandth or so."""
 SLIDING = Try(12, on_object=True)
 """The first try of a smooth soft object that nothing holds sideways, and of a ring or a block with waves that friction holds: few of the
 gel's points on each of its smaller faces warp these, and their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*,
@@ -92,14 +92,13 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    Other tries go on from where the one before it stands, not for long each: with a little friction (`NUDGE`), where a smooth soft object
-    slides without any; with contact's points on the other surface, where friction holds a soft object or a smooth one may slide (a ring, a
-    block with waves and one that slides begin with their own); then with twice the
-    contact points, volume held at points too, and what sticks sliding at friction `STICK`. Where that does not get there, such a try
-    begins at rest; where both surfaces' points may do so, each of them goes on from the other once more in between. The last try, where
-    friction was less, has `GRIP`. Its info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost
-    time and change little. Volume held at points keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer
-    (docs/mechanics.md).
+    Other tries go on from where the one before it stands, most of them not for long: with a little friction (`NUDGE`), where a smooth soft
+    object slides without any; with contact's points on the other surface, where friction holds a soft object or a smooth one may slide (a
+    ring, a block with waves and one that slides begin with their own); then with twice the contact points, volume held at points too, and
+    what sticks sliding at friction `STICK`. Where that does not get there, such a try begins at rest; where both surfaces' points may do
+    so, each of them goes on from the other once more in between. The last try, where friction was less, has `GRIP`. Its info says so. More
+    points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps
+    crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -199,14 +198,15 @@ def _problem(
     from gelsim.fem.problem import PressProblem
     from gelsim.materials import gel_material, object_materials
 
-    of_object = list(object_materials(scene).values())
-    made: dict[str, Any] = {} if way.most_wasted is None else {"most_wasted": way.most_wasted}
+    of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
+    remembers = any(material.prony for material in (of_gel, *of_object))  # then no other try goes on from this one
+    made: dict[str, Any] = {} if way.most_wasted is None or remembers else {"most_wasted": way.most_wasted}
     return PressProblem(
         _tried(scene, way),
         gel,
         body,
         placement,
-        gel_material(scene),
+        of_gel,
         of_object[0] if of_object else None,
         device,
         part_materials=of_object[1:],
@@ -234,15 +234,21 @@ def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], 
     press.info["contact_points"], press.info["contact_points_on"] = way.contact_points, "object" if way.on_object else "gel"
     if len(turns) > 1:
         press.info["went_on_from_mm"] = [round(start, 4) for _, start in turns[1:]]
-    # both belong to the later tries: what one is solved with so are those after it
+    # those after a try with held volume have it too
     since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
     if way.held > 0.0:
         told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
         press.warn(f"did not reach its end at first: solved {told}")
-    asked, solved = scene.contact.friction_coefficient, _tried(scene, way).contact.friction_coefficient
-    press.info["friction_coefficient"] = solved
-    if solved != asked:
-        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved:g} instead{since}")
+    asked = scene.contact.friction_coefficient
+    solved = [_tried(scene, turn).contact.friction_coefficient for turn, _ in turns]
+    press.info["friction_coefficient"] = solved[-1]
+    if other := [number for number, friction in enumerate(solved) if friction != asked]:
+        start, after = turns[other[0]][1], other[-1] + 1
+        where = f" from {start:.4g} mm on" if start else ""
+        if after < len(turns):
+            where = f" from {start:.4g} to {turns[after][1]:.4g} mm"
+        instead = " and ".join(dict.fromkeys(f"{solved[number]:g}" for number in other))
+        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {instead} instead{where}")
 
 
 def further(before: Deformation | None, press: Deformation) -> Deformation:

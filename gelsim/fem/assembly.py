@@ -495,10 +495,12 @@ class Solids:
 
     def _threads(self) -> int:
         """How many share the assembly of a tangent: as many as the environment grants and pay."""
-        if self.device != "cpu":
+        if self.device != "cpu" or wp.config.mode != "release":  # Warp's checks share an address between launches
             return 1
-        granted = os.environ.get("OMP_NUM_THREADS", "")
-        cores = int(granted) if granted.isdigit() else os.cpu_count() or 1
+        granted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+        cores = (
+            int(granted) if granted.isdigit() else len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        )
         return max(1, min(cores, MOST_THREADS, self.tets.size // THREAD_NODES))
 
     def _add_by_threads(self, threads: int, pairs: PairPattern, values: wp.array) -> None:
@@ -515,7 +517,7 @@ class Solids:
             arguments = [*inputs, *(array[first:last] for array in self._held), pairs, part]
             launches.append(wp.launch(self._tangent, last - first, arguments, device=self.device, record_cmd=True))
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(wp.Launch.launch, launches))  # a kernel's loop holds no lock of Python's
+            list(pool.map(wp.Launch.launch, launches))  # kernels without tiles share nothing, and no lock of Python's is held
         for part in self._apart:
             values.numpy()[:] += part.numpy()
 

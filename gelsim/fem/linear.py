@@ -60,7 +60,7 @@ _SYMMETRIC_UPPER = _Description(21, 41, 50)  # with its diagonal
 
 
 class MklProduct:
-    """x to K x, of which MKL reads the upper triangle once, on both cores; SciPy reads it twice, on one."""
+    """x to K x, of which MKL reads the upper triangle once, on all its threads; SciPy reads it twice, on one."""
 
     def __init__(self, mkl: ctypes.CDLL, indptr: NDArray[np.int32], indices: NDArray[np.int32], values: NDArray[np.float64]) -> None:
         self._mkl, self._read, self._handle = mkl, (indptr, indices, values), ctypes.c_void_p()

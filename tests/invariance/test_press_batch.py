@@ -14,7 +14,7 @@ import warp as wp
 
 from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, solve_batch, ways
+from gelsim.fem import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, _problem, _tries, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
@@ -203,9 +203,40 @@ def test_a_nudge_is_less_than_a_thousandth_of_the_force() -> None:
     assert force(10 * NUDGE) / free - 1 > 1e-3, "the bound would be met by anything"
 
 
+@pytest.mark.parametrize(
+    ("lost", "friction", "where"), [(1, NUDGE, "from 0.4 mm on"), (2, 0.0, "from 0.4 to 0.6 mm"), (3, 0.0, "from 0.4 to 0.6 mm")]
+)
+def test_a_nudge_is_told_of(lost: int, friction: float, where: str) -> None:
+    """Also where a later try, without it, gets to the end."""
+    frictionless = build_scene({"object": {"shape": "hemisphere"}, "contact": {"friction_coefficient": 0.0}})
+    some = alone(scene(200.0))
+    tries = _tries(frictionless, frozenset())
+    way, course = next(tries)
+    for number in range(lost):
+        course.before = cast(Any, SimpleNamespace(approach=(0.4 + 0.2 * number) * 1e-3))
+        way, course = tries.send(replace(some, info={"ended_by": PressEnd.LOST}))
+    with pytest.raises(StopIteration) as end:
+        tries.send(replace(some, info={"ended_by": PressEnd.DEPTH}))
+    press = end.value.value
+    assert press.info["friction_coefficient"] == friction
+    said = [warning for warning in press.info["warnings"] if "friction" in warning]
+    assert len(said) == 1 and f"solved with {NUDGE:g} instead {where}" in said[0]
+    assert len(press.info["warnings"]) == (2 if way.held else 1)
+
+
+def test_what_remembers_has_all_its_patience_in_one_try() -> None:
+    """Nothing goes on from it."""
+    body = {"shape": "hemisphere", "youngs_modulus_kpa": 200.0}
+    for gel, patience in (({}, SOON), ({"prony_g": [0.2], "prony_tau_s": [0.5]}, MOST_WASTED)):
+        one = build_scene(
+            {"gel": gel, "object": body, "contact": {"friction_coefficient": 0.0}, "fidelity": "fast", "press": {"symmetry": "none"}}
+        )
+        assert _problem(ways(one)[0], one, *pipeline.bodies(one), "cpu").most_wasted == patience
+
+
 def test_who_goes_on_and_how_long_each_may_fail() -> None:
-    """Tries that go on, and what they go on from where there are several, end soon; those that begin at rest as the last do not, the first
-    of which two others may go on from."""
+    """Tries that go on, and what they go on from where there are several, end soon, but those of smooth bodies with little friction; those
+    that begin at rest as the last do not, the first of which two others may go on from."""
 
     def tries(body: dict[str, object], friction: float | str) -> list[tuple[bool, int | None]]:
         return [
@@ -393,6 +424,7 @@ def test_what_is_recorded_once_holds_from_then_on(monkeypatch: pytest.MonkeyPatc
         return lambda: [run() for run in graph] and None
 
     monkeypatch.setattr("gelsim.fem.batch.REACH_MM", 0.1)  # so that the pattern grows under way
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # a GPU's tangent is one launch
     problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
     plain = run_batch(problems)
     for wrapper, names in ((keeping, ((wp, "launch"), (wp, "copy"), (wp.array, "zero_"), (wp.Mesh, "refit"))),
