@@ -498,9 +498,7 @@ class Solids:
         if self.device != "cpu" or wp.config.mode != "release":  # Warp's checks share an address between launches
             return 1
         granted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-        cores = (
-            int(granted) if granted.isdigit() else len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        )
+        cores = int(granted) if granted.isdigit() else os.cpu_count() or 1
         return max(1, min(cores, MOST_THREADS, self.tets.size // THREAD_NODES))
 
     def _add_by_threads(self, threads: int, pairs: PairPattern, values: wp.array) -> None:
