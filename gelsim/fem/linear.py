@@ -74,8 +74,8 @@ class MklProduct:
             raise ValueError(f"a vector of {len(x)} for a matrix of {len(self._read[0]) - 1} rows")
         y = np.empty_like(x)
         plain, one, none = ctypes.c_int(10), ctypes.c_double(1.0), ctypes.c_double(0.0)
-        arrays = (ctypes.c_void_p(array.ctypes.data) for array in (x, y))
-        self._check(self._mkl.mkl_sparse_d_mv(plain, one, self._handle, _SYMMETRIC_UPPER, next(arrays), none, next(arrays)))
+        given, into = ctypes.c_void_p(x.ctypes.data), ctypes.c_void_p(y.ctypes.data)
+        self._check(self._mkl.mkl_sparse_d_mv(plain, one, self._handle, _SYMMETRIC_UPPER, given, none, into))
         return y
 
     def __del__(self) -> None:
