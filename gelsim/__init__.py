@@ -13,12 +13,12 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gelsim.dataset import load_dataset
+    from gelsim.data.episodes import load_dataset
     from gelsim.errors import GelsimError, SceneError, SolveError
-    from gelsim.pipeline import press, press_batch, press_sensitivity, render, simulate
+    from gelsim.pipeline.stages import press, press_batch, press_sensitivity, render, simulate
     from gelsim.results import Deformation, Episode, Frame, Membrane, PressSensitivity
-    from gelsim.scene import Scene
-    from gelsim.scene_file import load_scene
+    from gelsim.scene.definition import Scene
+    from gelsim.scene.layers import load_scene
 
 _HOMES = {
     "Deformation": "gelsim.results",
@@ -27,16 +27,16 @@ _HOMES = {
     "GelsimError": "gelsim.errors",
     "Membrane": "gelsim.results",
     "PressSensitivity": "gelsim.results",
-    "Scene": "gelsim.scene",
+    "Scene": "gelsim.scene.definition",
     "SceneError": "gelsim.errors",
     "SolveError": "gelsim.errors",
-    "load_dataset": "gelsim.dataset",
-    "load_scene": "gelsim.scene_file",
-    "press": "gelsim.pipeline",
-    "press_batch": "gelsim.pipeline",
-    "press_sensitivity": "gelsim.pipeline",
-    "render": "gelsim.pipeline",
-    "simulate": "gelsim.pipeline",
+    "load_dataset": "gelsim.data.episodes",
+    "load_scene": "gelsim.scene.layers",
+    "press": "gelsim.pipeline.stages",
+    "press_batch": "gelsim.pipeline.stages",
+    "press_sensitivity": "gelsim.pipeline.stages",
+    "render": "gelsim.pipeline.stages",
+    "simulate": "gelsim.pipeline.stages",
 }
 
 __all__ = [

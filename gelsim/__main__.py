@@ -2,6 +2,6 @@
 
 import sys
 
-from gelsim.cli import main
+from gelsim.cli.main import main
 
 sys.exit(main())

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from gelsim.errors import GelsimError, SceneError
-from gelsim.fields import nearest
+from gelsim.scene.fields import nearest
 
 TOLD_EVERY = 60.0
 """Seconds between the lines that say how far long work is where no terminal shows a bar."""

@@ -12,8 +12,8 @@ block of 12 mm on a rigid plate needs: one press, for forces scale with E. The p
 a ring that carries the rest of the stand's dead load: soft silicone bulges into its hole. Forces scale with E then too, so each reading
 takes one press: where the tip's share of the force has come down to the spring's share of the load, E is known.
 
-Beside them the closed forms: Hertz, F = (16/9) E √R d^1.5, which `gelsim.materials` uses; Sneddon's ball (1965); Scott's fit to balls on
-rubber, F = 1.9 E R^0.65 d^1.35 in mm, N and MPa (BS 903); Gent (1958) and Qi et al. (2003) for scale A. Sources: docs/physics.md.
+Beside them the closed forms: Hertz, F = (16/9) E √R d^1.5, which `gelsim.scene.materials` uses; Sneddon's ball (1965); Scott's fit to balls
+on rubber, F = 1.9 E R^0.65 d^1.35 in mm, N and MPa (BS 903); Gent (1958) and Qi et al. (2003) for scale A. Sources: docs/physics.md.
 
 Left out: viscosity (readings are taken after a second), the wall beside the block, wear.
 """
@@ -29,13 +29,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import materials
 from gelsim.errors import MaterialError, SceneError, SolveError
 from gelsim.geometry import PlanarMesh
-from gelsim.materials import ElasticMaterial
-from gelsim.profiles import gel_profile, rigid_profile
-from gelsim.scene import Body, Contact, Gel, Press, Scene
-from gelsim.solids import Segment
+from gelsim.mesh.profiles import gel_profile, rigid_profile
+from gelsim.scene import materials
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
+from gelsim.scene.materials import ElasticMaterial
+from gelsim.shape.solids import Segment
 from gelsim.tables import write_csv
 from gelsim.units import MM
 
@@ -113,7 +113,7 @@ SCALES = {
 
 
 USED = {"00": "hertz", "A": "qi"}
-"""The relation that gelsim.materials takes."""
+"""The relation that gelsim.scene.materials takes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +252,7 @@ def summary(rows: Sequence[Row], scale: str) -> str:
 
 
 def write(out: Path, rows: Sequence[Row], scale: str) -> None:
-    """durometer-SCALE.csv and .png in a folder: moduli against readings, and over the relation that gelsim.materials uses."""
+    """durometer-SCALE.csv and .png in a folder: moduli against readings, and over the relation that gelsim.scene.materials uses."""
     from matplotlib.figure import Figure
 
     out.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.errors import SceneError
-from gelsim.fields import nearest
+from gelsim.scene.fields import nearest
 
 
 def read_csv(path: Path, name: str = "", known: Sequence[str] = ()) -> tuple[list[str], list[dict[str, Any]]]:

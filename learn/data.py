@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gelsim.dataset import Dataset
+from gelsim.data.episodes import Dataset
 from gelsim.errors import DatasetError
 from learn.config import InputConfig
 from learn.frames import equal_steps, loading
@@ -67,7 +67,7 @@ class Batch:
 
 
 def gel_of(facts: Mapping[str, float | None] | None) -> Gel:
-    """The gel that a dataset's row tells (`gelsim.dataset.gel_facts`); None: it tells none."""
+    """The gel that a dataset's row tells (`gelsim.data.episodes.gel_facts`); None: it tells none."""
     if facts is None:
         return UNKNOWN_GEL
     thickness, edge, shore = (facts[name] for name in ("thickness_mm", "edge_thickness_mm", "shore_00"))

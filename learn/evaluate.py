@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.dataset import Dataset, load_dataset
+from gelsim.data.episodes import Dataset, load_dataset
 from gelsim.files import whole_file
 from learn import plots, scores
 from learn.baselines import NAMES, Baselines, fit_baselines, over_time

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.dataset import gel_facts
+from gelsim.data.episodes import gel_facts
 from gelsim.errors import GelsimError
-from gelsim.scene_file import PRESET_SECTIONS, build_scene, load_scene, read_layer
+from gelsim.scene.layers import PRESET_SECTIONS, build_scene, load_scene, read_layer
 from learn.config import LearnError
 from learn.data import HARDEST, Gel, choose, gel_of
 from learn.ensemble import Ensemble

@@ -1,7 +1,7 @@
 """Presses at the network's size: averaged once, kept in memory or in a cache that several runs share. NumPy alone.
 
 A cache holds a whole dataset, so that trainings of different presses of it and their evaluations read it once; several processes fill it.
-Simulated and real presses lie in one schema (`gelsim.dataset`) and differ here in nothing, but that episodes which were left without
+Simulated and real presses lie in one schema (`gelsim.data.episodes`) and differ here in nothing, but that episodes which were left without
 pictures are drawn here, small and into no file: that alone needs the simulator.
 """
 
@@ -21,11 +21,11 @@ import numpy as np
 from filelock import FileLock
 from numpy.typing import NDArray
 
-from gelsim.dataset import Dataset, lit, load_dataset
+from gelsim.data.episodes import Dataset, lit, load_dataset
 from gelsim.errors import DatasetError, GelsimError
 from gelsim.files import whole_file
 from gelsim.results import Episode
-from gelsim.workers import Handful, LocalCrew, work_through
+from gelsim.work.workers import Handful, LocalCrew, work_through
 from learn.config import InputConfig
 from learn.features import NAMES, press_features
 from learn.frames import FIXED_POINT, averaged_pixels, change_signal, fit_picture, levels_of

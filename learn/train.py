@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from torch import distributed
 
-from gelsim.dataset import Dataset, load_dataset
+from gelsim.data.episodes import Dataset, load_dataset
 from gelsim.errors import GelsimError
 from gelsim.files import whole_file
 from learn import checkpoint as checkpoints

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.dataset import gel_facts, load_dataset, read_episode
+from gelsim.data.episodes import gel_facts, load_dataset, read_episode
 from gelsim.errors import GelsimError
-from gelsim.scene_file import load_scene
+from gelsim.scene.layers import load_scene
 from learn.config import InputConfig, LearnError
 from learn.data import UNKNOWN_GEL, Gel, gel_of
 from learn.frames import change_signal, fit_picture, levels_of

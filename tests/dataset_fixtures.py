@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelsim.lightfield import LightField, write_field
+from gelsim.data.lightfield import LightField, write_field
+from gelsim.generate.plan import Catalogue, load_plan
 from gelsim.optics import bake
-from gelsim.randomize import Catalogue, load_plan
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 TINY = str(Path(__file__).parent / "plan_tiny.toml")
 

@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gelsim import materials, shapes
 from gelsim.bench.structured import box_mesh, flat_gel, quarter_disc, soft_cap
 from gelsim.errors import SolveStatus
 from gelsim.fem.equilibrium import equilibrium, residual_of, solids_of, tangent_of
@@ -18,7 +17,9 @@ from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror, mirror_surface
 from gelsim.results import Deformation
-from gelsim.scene import Body, Contact, Gel, Press, Scene
+from gelsim.scene import materials
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
+from gelsim.shape import shapes
 
 __all__ = ["box_mesh", "equilibrium", "flat_gel", "quarter_disc", "residual_of", "soft_cap", "solids_of", "tangent_of"]
 wp.config.quiet = True

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gelsim.geometry import TetMesh, is_closed, jacobian_determinants, outer_faces, split_faces, tet_quality
-from gelsim.scene import Body, Gel, Press, Scene
+from gelsim.scene.definition import Body, Gel, Press, Scene
 
 QUIET = lambda line: None  # noqa: E731
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import materials
 from gelsim.fem.planar.assembly import PlanarSolids
 from gelsim.fem.planar.elements import planar_quadrature
 from gelsim.fem.planar.problem import PlanarProblem
 from gelsim.fem.problem import isochoric_constants
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import quadratic_faces
-from gelsim.materials import ElasticMaterial
-from gelsim.profiles import mesh_profiles
+from gelsim.mesh.profiles import mesh_profiles
 from gelsim.results import Deformation
-from gelsim.scene import Scene
+from gelsim.scene import materials
+from gelsim.scene.definition import Scene
+from gelsim.scene.materials import ElasticMaterial
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import gelsim
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 FIGURE = Path(__file__).parents[1] / "images" / "gallery_force_curves.png"
 

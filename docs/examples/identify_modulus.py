@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gelsim
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 GEL_KPA = 60.0
 TRUE_KPA = 130.0

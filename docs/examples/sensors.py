@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import gelsim
-from gelsim.scene_file import build_scene, preset_names
+from gelsim.scene.layers import build_scene, preset_names
 
 FIGURE = Path(__file__).parents[1] / "images" / "gallery_sensors.jpg"
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import gelsim
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 FIGURE = Path(__file__).parents[1] / "images" / "gallery_shear_markers.jpg"
 MOTIONS = {

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelsim import pipeline
+from gelsim.pipeline import stages
 from gelsim.results import Deformation, Frame
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene
 from gelsim.units import MM
 
 FIGURE = Path(__file__).parents[1] / "images" / "shore_series.png"
@@ -80,8 +80,8 @@ def run(shore: int, end: dict[str, Any], quick: bool) -> Pressed:
             "fidelity": "fast" if quick else "balanced",
         }
     )
-    press = pipeline.press(scene)
-    (frame,) = optics.render_frames(scene, pipeline.membranes(scene, press)[-1:])
+    press = stages.press(scene)
+    (frame,) = optics.render_frames(scene, stages.membranes(scene, press)[-1:])
     pressed = Pressed(scene, press, frame)
     print(f"Shore 00-{shore}:", ", ".join(f"{name} {value:.3g}" for name, value in pressed.numbers.items()), flush=True)
     return pressed
@@ -91,7 +91,7 @@ def draw(path: Path, series: dict[str, dict[int, Pressed]]) -> None:
     """Pictures at equal approach, pictures at equal force, and the sections of the latter."""
     from matplotlib.figure import Figure
 
-    from gelsim.sheet import INK, draw_section
+    from gelsim.pipeline.sheet import INK, draw_section
 
     equal_force = series["equal force"]
     gel = next(iter(equal_force.values())).scene.gel

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import pipeline
 from gelsim.errors import SolveError
 from gelsim.optics import choose_variant, light_field, render_frames
 from gelsim.optics.bake import UNSEEN, colour_difference
@@ -35,10 +34,11 @@ from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.isp import develop
 from gelsim.optics.probes import dented_membrane
 from gelsim.optics.render import Renderer
+from gelsim.pipeline import stages
 from gelsim.results import Membrane
-from gelsim.scene import Render, Scene
-from gelsim.scene_file import build_scene
-from gelsim.workers import in_environment, settings
+from gelsim.scene.definition import Render, Scene
+from gelsim.scene.layers import build_scene
+from gelsim.work.workers import in_environment, settings
 
 REFERENCE_SPP, REFERENCE_PICTURES = 16, 8
 PRESSES: list[dict[str, Any]] = [
@@ -97,7 +97,7 @@ def pressed(sensor: str, resolution: tuple[int, int], number: int) -> tuple[str,
     scene = sensor_scene(sensor, resolution, layer)
     name = f"{layer['object']['shape']} {number}"
     try:
-        return name, pipeline.membranes(scene, pipeline.press(scene))[-1]
+        return name, stages.membranes(scene, stages.press(scene))[-1]
     except SolveError as error:
         print(f"{name} is left out: {error}", flush=True)
         return None

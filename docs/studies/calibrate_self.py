@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gelsim import pipeline
 from gelsim.calibrate import calibrate, drawing
 from gelsim.calibrate.dent import effective_radius, solve_dents
 from gelsim.calibrate.parameters import GEOMETRY, GLOBALS, Parameters, dome_of, empty_scene, in_units, to_scene
-from gelsim.scene import Body, Camera, Gel, Lights, Markers, Press, Render
+from gelsim.pipeline import stages
+from gelsim.scene.definition import Body, Camera, Gel, Lights, Markers, Press, Render
 
 BALL_MM, THICKNESS_MM, CURVATURE, FIELD_MM = 2.5, 3.2, 1 / 45, 18.0
 NOISE = 1.5
@@ -62,7 +62,7 @@ def write_photos(
             object=Body(shape="hemisphere", rigid=True, radius_mm=BALL_MM, height_mm=6.0),
             press=Press(depth_mm=depth, force_n=None, frames=6, offset_mm=(x, y)),
         )
-        deformation, frames = pipeline.simulate(solid)
+        deformation, frames = stages.simulate(solid)
         difference = frames[-1].image.astype(float) - pictures[index]
         print(f"press {index}, solved in three dimensions: {np.sqrt((difference**2).mean()):.2f} levels from the family's picture")
         pictures[index] = frames[-1].image

@@ -20,15 +20,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import materials, pipeline
 from gelsim.bench.accuracy import reference_table
 from gelsim.bench.presses import ball, hemisphere
 from gelsim.fem import touching
 from gelsim.fem.planar.problem import PlanarProblem
 from gelsim.fem.quasistatic import run_press
-from gelsim.profiles import mesh_profiles
-from gelsim.scene_file import assets_folder, build_scene
-from gelsim.workers import in_environment, settings
+from gelsim.mesh.profiles import mesh_profiles
+from gelsim.pipeline import stages
+from gelsim.scene import materials
+from gelsim.scene.layers import assets_folder, build_scene
+from gelsim.work.workers import in_environment, settings
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def compare(draws: int) -> None:
             with TemporaryDirectory() as cache, in_environment({"GELSIM_CACHE": cache}):
                 for modulus in (50.0, 200.0):
                     seen.clear()
-                    press = pipeline.press(build_scene(hemisphere(modulus, 0.499, symmetry="mirror") | {"fidelity": fidelity}))
+                    press = stages.press(build_scene(hemisphere(modulus, 0.499, symmetry="mirror") | {"fidelity": fidelity}))
                     rows = [known["0.499", str(modulus), f"{approach * 1e3:.1f}"] for approach in press.approach[1:]]
                     radius = np.sqrt(press.contact_area[1:] / np.pi) * 1e3 / [float(row["contact_radius_mm"]) for row in rows] - 1
                     of_draw.append(100 * radius)

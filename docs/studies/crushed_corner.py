@@ -11,13 +11,14 @@ from __future__ import annotations
 import argparse
 import time
 
-from gelsim import materials, pipeline
 from gelsim.bench.presses import facts
 from gelsim.bench.random_scenes import draw
 from gelsim.fem import HELD, PLAIN
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
-from gelsim.scene_file import build_scene
+from gelsim.pipeline import stages
+from gelsim.scene import materials
+from gelsim.scene.layers import build_scene
 
 parser = argparse.ArgumentParser()
 parser.add_argument("--factors", type=float, nargs="+", default=[0.97, 1.0, 1.03])
@@ -29,7 +30,7 @@ for factor in options.factors:
     layer = draw(10)
     layer["object"]["shore_00"] = round(factor * layer["object"]["shore_00"], 2)
     scene = build_scene(layer)
-    gel, body, placement = pipeline.bodies(scene)
+    gel, body, placement = stages.bodies(scene)
     of_gel, of_object = materials.gel_material(scene), materials.object_material(scene)
     for number in options.tries:
         start = time.process_time()

@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.dataset import write_episode
+from gelsim.data.episodes import write_episode
 from gelsim.generate import recording
 from gelsim.generate.light import Studio
+from gelsim.generate.plan import Catalogue, load_plan
 from gelsim.optics.baked import BakedRenderer
-from gelsim.randomize import Catalogue, load_plan
-from gelsim.workers import settings
+from gelsim.work.workers import settings
 
 
 def spent() -> float:

@@ -24,12 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from gelsim import outputs, pipeline, sizing
 from gelsim.bench.presses import ball, hemisphere
 from gelsim.errors import GelsimError
 from gelsim.fem.indicator import MOVING
-from gelsim.scene_file import build_scene
-from gelsim.workers import in_environment, settings
+from gelsim.mesh import sizing
+from gelsim.pipeline import outputs, stages
+from gelsim.scene.layers import build_scene
+from gelsim.work.workers import in_environment, settings
 
 Layer = dict[str, Any]
 LEVELS = ("fast", "balanced", "reference", "truth")
@@ -69,7 +70,7 @@ def solve(case: str, level: str, folder: Path) -> dict[str, Any]:
     if not path.exists():
         sizing.SIZES["reference"] = TRUTH if level == "truth" else REFERENCE
         fidelity = "reference" if level == "truth" else level
-        press = pipeline.press(build_scene(CASES[case] | {"press": CASES[case]["press"] | {"symmetry": "mirror"}, "fidelity": fidelity}))
+        press = stages.press(build_scene(CASES[case] | {"press": CASES[case]["press"] | {"symmetry": "mirror"}, "fidelity": fidelity}))
         half = press.gel.rest[:, :2].max() - 1e-9
         line = np.linspace(-half, half, 121)
         points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)

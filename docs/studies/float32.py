@@ -18,15 +18,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import materials, pipeline
 from gelsim.bench.presses import ball
 from gelsim.fem.elements import tet10_gradient, tet_quadrature
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.reference import volume_change
 from gelsim.geometry import TET_EDGES
-from gelsim.materials import ElasticMaterial
-from gelsim.scene_file import build_scene
+from gelsim.pipeline import stages
+from gelsim.scene import materials
+from gelsim.scene.layers import build_scene
+from gelsim.scene.materials import ElasticMaterial
 
 Array = NDArray[np.floating]
 FORMS = ("pressure its own unknown", "p = κ(J - 1), J - 1 from H", "p = κ(det F - 1)")
@@ -83,7 +84,7 @@ def element_errors(nu: float, form: str, count: int = 200) -> float:
 def rounded_state(nu: float) -> tuple[float, float]:
     """Imbalance of a solved press, and of the same with its state rounded to float32."""
     scene = build_scene(ball(nu) | {"fidelity": "fast", "press": ball(nu)["press"] | {"frames": 3, "depth_mm": 0.5}})
-    gel, body, placement = pipeline.bodies(scene)
+    gel, body, placement = stages.bodies(scene)
     problem = PressProblem(scene, gel, body, placement, materials.gel_material(scene), None, "cpu", tolerance=1e-9)
     run_press(problem)
     problem.newton.solve(1.0)  # the march ends by moving the multipliers

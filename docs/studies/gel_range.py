@@ -19,8 +19,8 @@ from typing import Any
 
 import torch
 
-from gelsim.dataset import gel_facts
-from gelsim.randomize import Catalogue, load_plan
+from gelsim.data.episodes import gel_facts
+from gelsim.generate.plan import Catalogue, load_plan
 from learn.checkpoint import load, save
 from learn.data import gel_of
 from learn.ensemble import Ensemble

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw
 
-from gelsim.dataset import Dataset, load_dataset
+from gelsim.data.episodes import Dataset, load_dataset
 
 WIDTH = 213
 CAPTION = 14

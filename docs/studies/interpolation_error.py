@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 import gelsim
-from gelsim.motion import Motion
-from gelsim.scene_file import build_scene
+from gelsim.data.motion import Motion
+from gelsim.scene.layers import build_scene
 
 PRESSES = {
     "cylinder R 10, 00-30": {

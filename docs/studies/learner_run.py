@@ -38,7 +38,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gelsim.dataset import lit, load_dataset
+from gelsim.data.episodes import lit, load_dataset
 from learn.config import configure
 from learn.evaluate import PUBLISHED, TITLES
 from learn.splits import TEST_ROWS, TRAIN
@@ -70,7 +70,7 @@ CORES_2_STEPS = 20
 READ = """
 import sys
 from pathlib import Path
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from learn.config import configure
 from learn.recordings import archive
 data, preset, rows, columns, cache, workers, plan = sys.argv[1:]

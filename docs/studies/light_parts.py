@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from gelsim import optics
-from gelsim.membrane import moved_membrane
+from gelsim.membrane.surface import moved_membrane
 from gelsim.optics.camera import apparent_distance
 from gelsim.optics.isp import develop
 from gelsim.optics.render import Renderer
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene
 
 
 def dent(places: np.ndarray) -> np.ndarray:

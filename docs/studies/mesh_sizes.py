@@ -1,4 +1,4 @@
-"""How the error of a press falls with the number of unknowns: the study that the sizes in gelsim/sizing.py were chosen from.
+"""How the error of a press falls with the number of unknowns: the study that the sizes in gelsim/mesh/sizing.py were chosen from.
 
     python docs/studies/mesh_sizes.py [--fidelity fast balanced reference] [--case ball 50 200 punch] [--set growth=0.6 finest=1.2e-4 ...]
 
@@ -23,8 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelsim import fem, gel_mesh, meshing, shapes, sizing
-from gelsim.scene import Body, Contact, Gel, Press, Scene
+from gelsim import fem
+from gelsim.mesh import body_mesh, gel_mesh, sizing
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
+from gelsim.shape import shapes
 
 REFERENCE = Path(__file__).parents[2] / "assets" / "reference"
 PUNCH_FORCE = 1.331  # N at 0.5 mm
@@ -65,7 +67,7 @@ def main(fidelity: str, case: str) -> dict[str, float]:
     start = time.perf_counter()
     gel = gel_mesh.mesh_gel(scene, planes)
     rigid = scene.object.rigid
-    body = shapes.rigid_surface(scene, planes) if rigid else meshing.mesh_object(scene, planes)
+    body = shapes.rigid_surface(scene, planes) if rigid else body_mesh.mesh_object(scene, planes)
     meshed = time.perf_counter()
     place = shapes.placement(scene, body if rigid else body.surface("contact"))
     press = fem.solve_press(scene, gel, body, place)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 
 SETTINGS = ((0, 20), (1, 20), (1, 40), (2, 40), (3, 40), (4, 75))
 """method, quality: of effort, for all is kept."""

@@ -13,9 +13,9 @@ import functools
 import time
 from collections import defaultdict
 
-from gelsim import pipeline
 from gelsim.fem import linear, newton
-from gelsim.scene_file import build_scene
+from gelsim.pipeline import stages
+from gelsim.scene.layers import build_scene
 
 WATCHED = (
     ("factorise", linear.PardisoSolver, "factorise"),
@@ -60,13 +60,13 @@ def main(symmetry: str = "mirror", fidelity: str = "balanced") -> dict[str, floa
         "press": {"depth_mm": 1.0, "force_n": "none", "frames": 11, "symmetry": symmetry},
         "fidelity": fidelity,
     })  # fmt: skip
-    pipeline.press(scene)
+    stages.press(scene)
     watch = StopWatch()
     for entry in WATCHED:
         if hasattr(*entry[1:]):  # at a3241f4 the tangent was no function of Newton's: there it is part of the rest
             watch.watch(*entry)
-    record = pipeline.Record()
-    press = pipeline.press(scene, record=record)
+    record = stages.Record()
+    press = stages.press(scene, record=record)
     whole = record.seconds["press"]
     print(f"| {symmetry}, {fidelity}, {press.info['unknowns']} unknowns | calls | seconds | share |\n|---|---|---|---|")
     for name, _, _ in WATCHED:

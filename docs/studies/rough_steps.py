@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 import time
 
-from gelsim import pipeline
 from gelsim.fem import newton
 from gelsim.fem.linear import SymmetricSystem
-from gelsim.scene_file import build_scene
+from gelsim.pipeline import stages
+from gelsim.scene.layers import build_scene
 
 CASES = [("fast", "auto"), ("balanced", "auto"), ("reference", "auto"), ("fast", "mirror"), ("balanced", "mirror"), ("fast", "none")]
 
@@ -40,13 +40,13 @@ for fidelity, symmetry in CASES:
             "press": {"depth_mm": 1.0, "force_n": "none", "frames": 10, "symmetry": symmetry},
         }
     )
-    press, cells = pipeline.press(scene, device="cpu"), []  # kernels and meshes
+    press, cells = stages.press(scene, device="cpu"), []  # kernels and meshes
     for bound in (0.0, math.inf):
         SymmetricSystem.CHEAP = bound
         seconds = []
         for _ in range(2):
             start = time.process_time()
-            press = pipeline.press(scene, device="cpu")
+            press = stages.press(scene, device="cpu")
             seconds.append(time.process_time() - start)
         cells.append(f"{min(seconds):.2f}, {press.info['factorisations']}")
     print(f"| {fidelity}, {symmetry} | {press.info['unknowns']} | {seen[-1].direct.cost:.0f} | {' | '.join(cells)} |", flush=True)

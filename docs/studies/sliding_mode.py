@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from gelsim import fem, pipeline, sizing
+from gelsim import fem
 from gelsim.errors import SolveStatus
 from gelsim.fem.linear import PardisoSolver
 from gelsim.fem.newton import Newton, NewtonReport
-from gelsim.scene_file import build_scene
-from gelsim.sizing import OBJECT_COARSER
+from gelsim.mesh import sizing
+from gelsim.mesh.sizing import OBJECT_COARSER
+from gelsim.pipeline import stages
+from gelsim.scene.layers import build_scene
 
 Array = NDArray[np.float64]
 FAR = 2.0  # mm, reach of the search for contact
@@ -136,7 +138,7 @@ def main(points: int, coarser: float, on_object: bool) -> None:
     })  # fmt: skip
     print("| approach [mm] | iterations | negative | smallest [1e-5] | without geometric | faces with points, those they find "
           "| gel | object | normal | geometric | slip |\n|---|---|---|---|---|---|---|---|---|---|---|")  # fmt: skip
-    press = pipeline.press(scene, throw=False)
+    press = stages.press(scene, throw=False)
     print(f"{press.info['unknowns']} unknowns, {press.newton_iterations.sum()} iterations, {press.status.value}")
 
 

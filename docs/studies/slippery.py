@@ -38,16 +38,17 @@ SCENES: dict[str, tuple[Layer, Layer, Layer]] = {  # object, press, the rest
 
 def solve(name: str, way: str, friction: float) -> str:
     """A row's cells: how far, force, area, iterations, factorisations, seconds of the solve."""
-    from gelsim import fem, pipeline
-    from gelsim.scene_file import build_scene
+    from gelsim import fem
+    from gelsim.pipeline import stages
+    from gelsim.scene.layers import build_scene
 
     body, press, rest = SCENES[name]
     fem.ways = lambda *_: [fem.SLIDING if way == "object" else fem.PLAIN]
     layer = {"object": body, "press": {"depth_mm": 1.0, "force_n": "none", "frames": 6} | press, "fidelity": "fast"}
     scene = build_scene(layer | {"contact": {"friction_coefficient": friction}, "gel": {"youngs_modulus_kpa": 50.0}} | rest)
-    pipeline.bodies(scene)
+    stages.bodies(scene)
     start = time.perf_counter()
-    done = pipeline.press(scene, device="cpu", throw=False)
+    done = stages.press(scene, device="cpu", throw=False)
     wanted = scene.press.depth_mm or 0.0
     reached = "end" if not done.lost else f"{1e3 * done.approach[-1]:.2f} of {wanted:g} mm"
     numbers = (

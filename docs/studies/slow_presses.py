@@ -15,23 +15,23 @@ import subprocess
 import sys
 import time
 
-from gelsim.workers import settings
+from gelsim.work.workers import settings
 
 
 def solve(plan: str, seed: int, number: int) -> None:
     """Prints the first cells once the meshes are there, and the rest of the row when the press has ended."""
-    from gelsim import pipeline
     from gelsim.generate import recording
-    from gelsim.randomize import Catalogue, load_plan
+    from gelsim.generate.plan import Catalogue, load_plan
+    from gelsim.pipeline import stages
 
     scene = recording.resolved(Catalogue(load_plan(plan), seed).press(number).scene)
     body, press = scene.object, scene.press
-    gel, solid, _ = pipeline.bodies(scene)
+    gel, solid, _ = stages.bodies(scene)
     hardness = "rigid" if body.rigid else f"00-{body.shore_00:.0f}"
     meshes = f"{len(gel.tets)} and {len(getattr(solid, 'tets', ()))}"
     print(f"| {number} | {body.shape}, {hardness}, μ {scene.contact.friction_coefficient:.3g} | {meshes}", flush=True)
     start = time.perf_counter()
-    done = pipeline.press(scene, device="cpu", throw=False)
+    done = stages.press(scene, device="cpu", throw=False)
     seconds = time.perf_counter() - start
     reached = f"{done.info['ended_by']}, {1e3 * done.approach[-1]:.2f} of {press.depth_mm:.3g} mm, {-done.force[-1, 2]:.3g} N"
     how = f"{done.info['tried']}, {done.info['contact_points']} on the {done.info['contact_points_on']}"

@@ -17,7 +17,7 @@ from gelsim.bench.presses import ball, hemisphere, press_case
 from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.fem.indicator import JUDGED_FROM
 from gelsim.results import Deformation
-from gelsim.scene_file import assets_folder
+from gelsim.scene.layers import assets_folder
 
 FIDELITIES = ("fast", "balanced", "reference")
 BOUNDS = {"balanced": (2.0, 3.0, 5.0), "reference": (0.7, 1.5, 2.0)}

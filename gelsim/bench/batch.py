@@ -22,7 +22,7 @@ from gelsim.bench.accuracy import press_errors
 from gelsim.bench.presses import hemisphere
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import SolveStatus
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 _ROWS = {"nu": 0.499, "object_modulus_kPa": 200.0}
 _STAGES = ("residual", "tangent", "factorise", "solve", "pattern", "march", "prepare")
@@ -48,7 +48,7 @@ def _cases(options: Options) -> Iterator[Case]:
 
 def _scenes(symmetry: str, fidelity: str, batch: int) -> list[Any]:
     """Hemispheres of many moduli on one pair of meshes, ready for `solve_batch`; the first is the reference's."""
-    from gelsim.pipeline import bodies
+    from gelsim.pipeline.stages import bodies
 
     moduli = [200.0, *np.geomspace(100.0, 400.0, batch - 1)] if batch > 1 else [200.0]
     scenes = [build_scene(hemisphere(modulus, 0.499, symmetry=symmetry) | {"fidelity": fidelity}) for modulus in moduli]

@@ -14,7 +14,7 @@ from gelsim.fem.assembly import Solids
 from gelsim.fem.equilibrium import equilibrium, solids_of
 from gelsim.fem.locking import lock
 from gelsim.geometry import TetMesh, outer_faces
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 from gelsim.units import MM
 
 MODULUS = 50e3  # Pa

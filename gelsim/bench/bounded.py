@@ -1,7 +1,7 @@
 """A child process that measures cases one after the other, each within a time and all within a memory: what hangs or grows is ended.
 
 The child imports and compiles once; after it was ended a new one is started for the next case. It ends with its parent. In a worker process
-(`gelsim.workers`), whose time is bounded by who started it, there is no child: the worker's own memory is bounded.
+(`gelsim.work.workers`), whose time is bounded by who started it, there is no child: the worker's own memory is bounded.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from gelsim.bench.section import Row
-from gelsim.workers import end_with
+from gelsim.work.workers import end_with
 
 GIGABYTE = 1 << 30
 START_SECONDS = 300.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from gelsim.bench.presses import ball, hemisphere
 from gelsim.bench.section import Case, Layer, Options, Row, Section
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 FINEST = 4.0
 PROFILE_RADIUS_MM = 8.0
@@ -36,7 +36,7 @@ def _case(name: str, layer: Layer, finer: float) -> Case:
 
 def _measure(name: str, layer: Layer, finer: float) -> Row:
     from gelsim.fem import solve_planar
-    from gelsim.profiles import mesh_profiles
+    from gelsim.mesh.profiles import mesh_profiles
 
     scene = build_scene(layer)
     scene = scene.replace(press=replace(scene.press, frames=6))

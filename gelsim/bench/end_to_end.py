@@ -22,8 +22,8 @@ from gelsim.bench.optics import seconds_a_call
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import SolveStatus
 from gelsim.results import Deformation, Membrane
-from gelsim.scene import Render, Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Render, Scene
+from gelsim.scene.layers import build_scene
 
 FRAMES = 11
 LIGHT = (("direct", 4), ("path", 4), ("path", 16), ("path", 64), ("baked", 1))
@@ -51,13 +51,13 @@ def _scene(fidelity: str, mode: str, spp: int, size: tuple[int, int]) -> Scene:
 @functools.cache
 def _pressed(fidelity: str, size: tuple[int, int]) -> tuple[Membrane, float]:
     """The last state's membrane, and the press's seconds: of the second time, when meshes and kernels are there."""
-    from gelsim import pipeline
+    from gelsim.pipeline import stages
 
     scene = _scene(fidelity, "path", 1, size)
-    pipeline.press(scene)
-    record = pipeline.Record()
-    pressed: Deformation = pipeline.press(scene, record=record)
-    return pipeline.membranes(scene, pressed)[-1], record.seconds["press"]
+    stages.press(scene)
+    record = stages.Record()
+    pressed: Deformation = stages.press(scene, record=record)
+    return stages.membranes(scene, pressed)[-1], record.seconds["press"]
 
 
 def _picture(fidelity: str, mode: str, spp: int, size: tuple[int, int]) -> Any:

@@ -25,8 +25,8 @@ from gelsim.fem import HELD
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import TetMesh, quadratic_faces
-from gelsim.materials import ElasticMaterial
-from gelsim.scene import Body, Contact, Gel, Press, Scene
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
+from gelsim.scene.materials import ElasticMaterial
 from gelsim.units import MM
 
 PHANTOMS = Path("silicone_phantoms")

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import RenderError, SolveStatus
-from gelsim.scene import Render, Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Render, Scene
+from gelsim.scene.layers import build_scene
 
 SENSOR = "fingertip2017"
 DENT = 9

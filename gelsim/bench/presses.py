@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from gelsim import materials, pipeline
 from gelsim.bench.section import Case, Layer, Row
 from gelsim.errors import GelsimError, SolveStatus
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
+from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene_file import build_scene
+from gelsim.scene import materials
+from gelsim.scene.layers import build_scene
 
 # The gel of the reference solutions: flat, 50 kPa; no friction, 1 mm of approach in ten steps, as solids ("auto" would take a profile).
 REFERENCE_GEL: Layer = {"profile": "flat", "youngs_modulus_kpa": 50.0}
@@ -44,11 +45,11 @@ def press_case(name: str, scene: Layer, further: Callable[[Deformation], Row] | 
 def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -> Row:
     """Solves a scene; a row of plain numbers, also where it fails."""
     row: Row = {"fidelity": scene.get("fidelity", "balanced")}
-    record = pipeline.Record()
+    record = stages.Record()
     start = time.perf_counter()
     try:
         made = build_scene(scene)
-        press = pipeline.press(made, device="cpu", record=record, throw=False)
+        press = stages.press(made, device="cpu", record=record, throw=False)
     except GelsimError as error:
         return row | {"status": type(error).__name__, "message": str(error), "seconds": round(time.perf_counter() - start, 2)}
     row["seconds"] = round(record.seconds["press"], 2)
@@ -91,6 +92,6 @@ def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:
         GelsimError: The scene is none, or cannot be meshed.
     """
     made = build_scene(scene)
-    gel, body, placement = pipeline.bodies(made)
+    gel, body, placement = stages.bodies(made)
     problem = PressProblem(made, gel, body, placement, materials.gel_material(made), materials.object_material(made), "cpu")
     return problem, run_press(problem, throw=False)

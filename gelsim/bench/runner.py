@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from gelsim import fem, pipeline
+from gelsim import fem
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import GelsimError, SceneError, SolveStatus
-from gelsim.ledger import Ledger
+from gelsim.pipeline import stages
 from gelsim.tables import write_csv
-from gelsim.workers import Handful, LocalCrew, Work, work_through
+from gelsim.work.ledger import Ledger
+from gelsim.work.workers import Handful, LocalCrew, Work, work_through
 
 RESULTS = "results.jsonl"
 
@@ -93,7 +94,7 @@ def _made_by() -> dict[str, str | None]:
     names = [line for line in facts.read_text().splitlines() if line.startswith("model name")] if facts.is_file() else []
     if names:
         processor = names[0].partition(":")[2].strip()
-    return {"commit": commit, "python": platform.python_version()} | pipeline.versions() | {"processor": processor}
+    return {"commit": commit, "python": platform.python_version()} | stages.versions() | {"processor": processor}
 
 
 def _measured(cases: list[tuple[str, Case]], options: Options, workers: int) -> Iterator[Row]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gelsim.ledger import Row  # `status` is CONVERGED where the case was solved
+from gelsim.work.ledger import Row  # `status` is CONVERGED where the case was solved
 
 Layer = dict[str, Any]
 """Part of a scene, as a scene file has it."""

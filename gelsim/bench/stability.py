@@ -12,15 +12,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gelsim import materials, pipeline
 from gelsim.bench.presses import SMOOTH, facts, press_case
 from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.errors import PressEnd, SolveStatus
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import TET_EDGES, TetMesh, jacobian_determinants, outer_faces, tet_quality, tet_volumes
-from gelsim.pipeline import MOST_OVERLAP_UM
-from gelsim.scene_file import build_scene
+from gelsim.pipeline import stages
+from gelsim.pipeline.stages import MOST_OVERLAP_UM
+from gelsim.scene import materials
+from gelsim.scene.layers import build_scene
 
 _SOLIDS: Layer = {"frames": 6, "symmetry": "mirror"}
 """Profiles ("auto") have fewer ways to fail."""
@@ -150,7 +151,7 @@ def _remarks(rows: list[Row]) -> str:
 def _spoiled(scene: Layer) -> Row:
     """The scene on meshes of poor quality: inner vertices of both bodies moved as far as a quality of POOREST allows."""
     made = build_scene(scene)
-    gel, body, placement = pipeline.bodies(made)
+    gel, body, placement = stages.bodies(made)
     assert isinstance(body, TetMesh)
     meshes = [spoil(mesh, np.random.default_rng(5)) for mesh in (gel, body)]
     problem = PressProblem(made, meshes[0], meshes[1], placement, materials.gel_material(made), materials.object_material(made), "cpu")

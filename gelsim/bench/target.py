@@ -13,12 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from gelsim import pipeline
 from gelsim.bench.accuracy import FIDELITIES, press_errors
 from gelsim.bench.presses import ball, facts, hemisphere
 from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.errors import GelsimError
-from gelsim.scene_file import build_scene
+from gelsim.pipeline import stages
+from gelsim.scene.layers import build_scene
 
 TARGETS = ("5%", "2%", "1%", "0.5%")
 
@@ -43,11 +43,11 @@ def _cases(options: Options) -> Iterator[Case]:
 def _measure(case: str, asked: str, scene: Layer, table: str, wanted: dict[str, float], modulus: str) -> Row:
     """A press at a fidelity or to a target; seconds are of all that was solved for it."""
     row: Row = {"object": case, "asked": asked}
-    record = pipeline.Record()
+    record = stages.Record()
     start = time.perf_counter()
     try:
         made = build_scene(scene)
-        press = pipeline.press(made, device="cpu", record=record, throw=False)
+        press = stages.press(made, device="cpu", record=record, throw=False)
     except GelsimError as error:
         return row | {"status": type(error).__name__, "message": str(error), "seconds": round(time.perf_counter() - start, 2)}
     tried = [one["fidelity"] for one in record.choices["fidelity"]["tried"]] if made.target_error is not None else [asked]

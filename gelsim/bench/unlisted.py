@@ -14,13 +14,13 @@ from functools import partial
 
 import numpy as np
 
-from gelsim import pipeline
 from gelsim.bench.presses import SMOOTH
 from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.bench.structured import Array
 from gelsim.errors import GelsimError, SolveStatus
+from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 FORCE_PERCENT, RADIUS_PERCENT, PROFILE_UM = 2.0, 3.0, 5.0
 RADII_MM = np.linspace(0.0, 8.0, 81)
@@ -66,7 +66,7 @@ def _measure(name: str) -> Row:
     presses = []
     for fidelity, symmetry in (("balanced", "mirror"), ("reference", "axisymmetric")):
         try:
-            press = pipeline.press(build_scene(scene(name, fidelity, symmetry)), device="cpu", throw=False)
+            press = stages.press(build_scene(scene(name, fidelity, symmetry)), device="cpu", throw=False)
         except GelsimError as error:
             return {"status": type(error).__name__, "message": str(error)}
         if press.status is not SolveStatus.CONVERGED:

@@ -2,7 +2,7 @@
 
 A rigid ball of radius R on a dome of radius R_d touches it, to second order in the slopes, as a ball of radius R' = 1/(1/R + 1/R_d)
 touches a plane: the gap between the two is the same function of the distance from where they first touch. So the axisymmetric press
-of a ball into the flat gel (`gelsim.pipeline`) gives the displacement u(ρ; d) for every place on the dome,
+of a ball into the flat gel (`gelsim.pipeline.stages`) gives the displacement u(ρ; d) for every place on the dome,
 
     z(x, y) = h(x, y) + d f(ρ / √(R' d); d),    ρ the distance from first touch,
 
@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import pipeline
 from gelsim.errors import SolveError
-from gelsim.scene import Body, Gel, Press, Scene
+from gelsim.pipeline import stages
+from gelsim.scene.definition import Body, Gel, Press, Scene
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
@@ -147,7 +147,7 @@ def _solve(gel: Gel, ball_radius_mm: float, depths: Array) -> DentFamily:
         object=Body(shape="hemisphere", rigid=True, radius_mm=ball_radius_mm, height_mm=2 * ball_radius_mm + deepest),
         press=Press(depth_mm=deepest, force_n=None, frames=DEPTHS + 1, symmetry="axisymmetric"),
     )
-    press = pipeline.press(scene, throw=False)
+    press = stages.press(scene, throw=False)
     usable = np.flatnonzero(press.converged & (press.approach > 0))
     if len(usable) < 2:
         raise SolveError(f"a ball of {ball_radius_mm:g} mm cannot be pressed into a gel of {gel.thickness_mm:g} mm: {press.message}")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.scene import Markers
+from gelsim.scene.definition import Markers
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import membrane, optics
+from gelsim import optics
 from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius
 from gelsim.calibrate.parameters import curvature_of
+from gelsim.membrane import surface
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ def dented(scene: Scene, dents: DentFamily, ball_mm: float, press: Array) -> Mem
         radial, vertical = dents.displacement(distance, depth, effective_radius(ball_mm, curvature))
         return np.column_stack([away * (radial / distance)[:, None], vertical]) * MM
 
-    return membrane.moved_membrane(scene, displacement)
+    return surface.moved_membrane(scene, displacement)
 
 
 def draw(
@@ -42,6 +43,6 @@ def draw(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """The picture without contact (H, W, 3), and one of each press (P, H, W, 3), 8 bit."""
-    surfaces = [membrane.rest_membrane(scene), *(dented(scene, dents, ball_mm, press) for press in presses)]
+    surfaces = [surface.rest_membrane(scene), *(dented(scene, dents, ball_mm, press) for press in presses)]
     frames = [frame.image for frame in optics.render_frames(scene, surfaces, device=device, progress=progress)]
     return frames[0], np.array(frames[1:], np.uint8).reshape(len(presses), *frames[0].shape)

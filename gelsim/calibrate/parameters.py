@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gelsim.calibrate import model
 from gelsim.calibrate.model import Shape
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Scene
 
 Array = NDArray[np.float64]
 
@@ -206,6 +206,6 @@ def curvature_of(gel: Gel) -> float:
 
 def empty_scene(gel: Gel, camera: Camera, lights: Lights) -> Scene:
     """A scene without markers to start from."""
-    from gelsim.scene import Markers, Press
+    from gelsim.scene.definition import Markers, Press
 
     return Scene(gel=gel, camera=camera, lights=lights, markers=Markers(layout="none"), press=Press(depth_mm=0.1))

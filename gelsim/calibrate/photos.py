@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import GelsimError, SceneError
-from gelsim.fields import convert, nearest
 from gelsim.optics.isp import srgb_tone
-from gelsim.scene import Gel, Scene
+from gelsim.scene.definition import Gel, Scene
+from gelsim.scene.fields import convert, nearest
 from gelsim.tables import read_csv
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gelsim.scene import Scene
-from gelsim.scene_file import PRESET_SECTIONS
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import PRESET_SECTIONS
 
 DIGITS = 6
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import outputs
 from gelsim.calibrate import dots, drawing, pictures
 from gelsim.calibrate import start as beginning
 from gelsim.calibrate.dent import Dents, effective_radius, solve_dents
@@ -25,11 +24,12 @@ from gelsim.calibrate.fit import Data, Fitted, brightness, fit
 from gelsim.calibrate.parameters import GLOBALS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.preset import write_preset
+from gelsim.data.metrics import picture_errors
 from gelsim.errors import SceneError
-from gelsim.limits import SHADING_DEGREES
-from gelsim.metrics import picture_errors
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene, preset_names
+from gelsim.pipeline import outputs
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene, preset_names
+from gelsim.scene.limits import SHADING_DEGREES
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

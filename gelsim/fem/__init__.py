@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gelsim.errors import SolveStatus
 from gelsim.geometry import PlanarMesh, QuadraticSurface, TetMesh
 from gelsim.results import Deformation, PressSensitivity
-from gelsim.scene import Body, Scene
+from gelsim.scene.definition import Body, Scene
 
 if TYPE_CHECKING:
     from gelsim.fem.batch import Costs
@@ -179,14 +179,14 @@ def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
 
 def _slides(body: Body, symmetry: frozenset[str]) -> bool:
     """Whether a smooth soft object's tip finds its place on the gel by itself where there is hardly any friction to hold it."""
-    from gelsim.shapes import sharp_edges
+    from gelsim.shape.shapes import sharp_edges
 
     return not body.rigid and not symmetry >= {"x", "y"} and not len(sharp_edges(body))
 
 
 def _uneven(body: Body) -> bool:
     """Whether an object has waves of its own, or is a ring: its small faces bend more than the gel's."""
-    from gelsim.shapes import fine_feature
+    from gelsim.shape.shapes import fine_feature
 
     return fine_feature(body) < np.inf
 
@@ -196,7 +196,7 @@ def _problem(
 ) -> PressProblem:
     """A press as a try discretises it; `patient` None: where volume is held from rest on."""
     from gelsim.fem.problem import PressProblem
-    from gelsim.materials import gel_material, object_materials
+    from gelsim.scene.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     remembers = any(material.prony for material in (of_gel, *of_object))  # then no other try goes on from this one
@@ -338,7 +338,7 @@ def differentiate_press(
     """
     quiet_warp()
     from gelsim.fem.sensitivity import press_sensitivity
-    from gelsim.materials import gel_material, object_materials
+    from gelsim.scene.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     alone = replace(ways(scene, gel.symmetry)[0], most_wasted=None)  # there is no other to go on from it
@@ -366,7 +366,7 @@ def solve_planar(
     quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
     from gelsim.fem.quasistatic import run_press
-    from gelsim.materials import gel_material, object_materials
+    from gelsim.scene.materials import gel_material, object_materials
 
     problem = PlanarProblem(scene, gel, body, gel_material(scene), object_materials(scene).get("body"), depth_mm)
     return run_press(problem, progress=progress, throw=throw)

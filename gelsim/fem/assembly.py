@@ -49,7 +49,7 @@ from gelsim.fem.hyperelastic import (
 from gelsim.fem.pattern import PairPattern, add_block, add_entry, element_pairs, pair_offset
 from gelsim.fem.planar.elements import PlanarQuadrature
 from gelsim.fem.viscoelastic import Memory
-from gelsim.materials import OGDEN_TERMS
+from gelsim.scene.materials import OGDEN_TERMS
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 

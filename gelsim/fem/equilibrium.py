@@ -18,7 +18,7 @@ from gelsim.fem.linear import make_solver
 from gelsim.fem.pattern import build_pattern
 from gelsim.fem.problem import MM, isochoric_constants
 from gelsim.geometry import TetMesh
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from gelsim.materials import OGDEN_TERMS
+from gelsim.scene.materials import OGDEN_TERMS
 
 OgdenConstants = wp.types.vector(length=2 * OGDEN_TERMS, dtype=wp.float64)
 """(μ₁, α₁, μ₂, α₂, μ₃, α₃) of a solid [kPa, 1]; terms not used have μ = 0."""

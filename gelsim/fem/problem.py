@@ -20,8 +20,8 @@ from gelsim.fem.newton import Newton, NewtonOptions
 from gelsim.fem.pattern import split_pressures
 from gelsim.fem.viscoelastic import Memory, prony_arrays
 from gelsim.geometry import QuadraticSurface, TetMesh
-from gelsim.materials import OGDEN_TERMS, ElasticMaterial
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.materials import OGDEN_TERMS, ElasticMaterial
 
 if TYPE_CHECKING:
     from gelsim.fem.quasistatic import Course

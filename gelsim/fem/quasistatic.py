@@ -36,7 +36,7 @@ from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import MM, PressProblem
 from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
-from gelsim.scene import Press, Scene
+from gelsim.scene.definition import Press, Scene
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -24,8 +24,8 @@ from gelsim.fem.self_contact import closing_gap
 from gelsim.fem.touching import touching_area
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
-from gelsim.scene import Gel
-from gelsim.shapes import gel_height
+from gelsim.scene.definition import Gel
+from gelsim.shape.shapes import gel_height
 
 Array = NDArray[np.float64]
 HOLLOW = ("tube", "shell", "mesh")

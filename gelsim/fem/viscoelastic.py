@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gelsim.fem.elements import TetQuadrature
 from gelsim.fem.pattern import PairPattern, add_block, pair_offset
-from gelsim.materials import OGDEN_TERMS
+from gelsim.scene.materials import OGDEN_TERMS
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 

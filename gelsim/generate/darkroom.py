@@ -11,12 +11,12 @@ import math
 import os
 from pathlib import Path
 
-from gelsim.dataset import Dataset, load_dataset
+from gelsim.data.episodes import Dataset, load_dataset
 from gelsim.errors import SceneError
 from gelsim.generate.light import Studio
+from gelsim.generate.plan import Catalogue
 from gelsim.generate.relight import own_catalogue, plan_of, relit_episode
 from gelsim.generate.run import Progress, gpus_of, kept_plan, measure_lights, sensors_of
-from gelsim.randomize import Catalogue
 from gelsim.results import Episode
 
 FINER = 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from gelsim.workers import Handful
+from gelsim.work.workers import Handful
 
 
 @dataclass

@@ -1,9 +1,9 @@
 """The light of episodes: one light field a sensor of the pool, changed by episode in what costs no new one.
 
-Components of a field belong to single lights (`gelsim.lightfield`), so the power and colour of each may change afterwards: a light's colour
-rows are multiplied by power and colour over what they were when it was measured, exactly. The veil, which the window throws back, is known
-for all lights together: it is multiplied by channel by what the lights together became. Exposure, white balance, tone, shading, noise and
-markers come after the field anyway.
+Components of a field belong to single lights (`gelsim.data.lightfield`), so the power and colour of each may change afterwards: a light's
+colour rows are multiplied by power and colour over what they were when it was measured, exactly. The veil, which the window throws back, is
+known for all lights together: it is multiplied by channel by what the lights together became. Exposure, white balance, tone, shading, noise
+and markers come after the field anyway.
 
 In the modes "path" and "direct" every episode is traced with its own lights; that takes long, and needs no field.
 """
@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.data.lightfield import LightField
 from gelsim.errors import DatasetError, SceneError
-from gelsim.lightfield import LightField
-from gelsim.membrane import GRID_SPACING, Surface
+from gelsim.membrane.surface import GRID_SPACING, Surface
 from gelsim.results import Membrane
-from gelsim.scene import Camera, Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Camera, Scene
+from gelsim.scene.layers import build_scene
 
 QUIET: dict[str, Any] = {"noise_sd": (0.0, 0.0, 0.0), "full_well": (0.0, 0.0, 0.0), "read_noise": (0.0, 0.0, 0.0)}
 """A camera without noise: what is stored; noise is drawn while training."""

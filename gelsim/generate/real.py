@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.dataset import episode_file, gel_facts, survey, write_episode, write_meta
+from gelsim.data.episodes import episode_file, gel_facts, survey, write_episode, write_meta
 from gelsim.errors import SceneError
-from gelsim.randomize import SPLITS
+from gelsim.generate.plan import SPLITS
 from gelsim.results import Episode
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 from gelsim.tables import read_csv
 
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".webm")

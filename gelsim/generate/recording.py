@@ -1,7 +1,7 @@
 """From a plan's press to its episodes: the mechanics once, then for each end point a trajectory in time, frames and labels.
 
 *Press.* Solved until the force or the depth that was drawn, in states about an eighth of the expected travel apart (`expected_travel`), and
-kept as a `gelsim.motion` archive. An end point on the way is a shorter press: the path to it is the same, tangential travel included.
+kept as a `gelsim.data.motion` archive. An end point on the way is a shorter press: the path to it is the same, tangential travel included.
 
 *Trajectory.* Frames at the camera's rate. The robot closes at constant speed from a random phase of the frame clock, and stays where it
 ends. A hand takes about the frames that were drawn; its speed is exp(σ w(t)), w smooth noise of unit variance. Between solved states the
@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim import materials
-from gelsim.dataset import episode_file, gel_facts
+from gelsim.data.episodes import episode_file, gel_facts
+from gelsim.data.motion import Motion, pack, unpack
 from gelsim.errors import MeshingError, SceneError, SolveError, SolveStatus
 from gelsim.generate.light import Studio, noise_of
-from gelsim.motion import Motion, pack, unpack
-from gelsim.randomize import Catalogue, EpisodeDraw, Press
+from gelsim.generate.plan import Catalogue, EpisodeDraw, Press
 from gelsim.results import Deformation, Episode
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene, dump_scene, scene_table
+from gelsim.scene import materials
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene, dump_scene, scene_table
 from gelsim.units import MM
 
 STATES = 8
@@ -83,14 +83,14 @@ def solve(press: Press, device: str = "cpu") -> Solved:
     Raises:
         PressFailed
     """
-    from gelsim import pipeline
     from gelsim.fem import solves_on_gpu
+    from gelsim.pipeline import stages
 
-    record = pipeline.Record()
+    record = stages.Record()
     where = device if solves_on_gpu() else "cpu"
     try:
         scene = resolved(press.scene)
-        solved = pipeline.press(scene, device=where, record=record, throw=False, enough=lambda found: far_enough(found, scene))
+        solved = stages.press(scene, device=where, record=record, throw=False, enough=lambda found: far_enough(found, scene))
     except (MeshingError, SolveError, SceneError) as error:
         raise PressFailed(type(error).__name__, str(error)) from error
     motion = checked(solved, press.scene)

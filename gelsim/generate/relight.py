@@ -1,7 +1,7 @@
 """`gelsim dataset --light-of DIR [--sensor NAME]`: the presses of a dataset seen by another sensor; no finite elements are solved.
 
-Every episode keeps its mechanics (`gelsim.motion`): gel, motion, force and time stay, light, coat, camera and markers are the new sensor's,
-with what the plan draws by episode drawn anew. A light field is measured for each shape of gel in the dataset, once.
+Every episode keeps its mechanics (`gelsim.data.motion`): gel, motion, force and time stay, light, coat, camera and markers are the new
+sensor's, with what the plan draws by episode drawn anew. A light field is measured for each shape of gel in the dataset, once.
 
 Without a sensor the pictures are those of the plan's own, which a dataset made with `--no-light` lacks: the same files, byte for byte, as
 if they had been drawn at once.
@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.dataset import Dataset, load_dataset, unpacked, write_episode
-from gelsim.distributions import draw_fields
+from gelsim.data.episodes import Dataset, load_dataset, unpacked, write_episode
 from gelsim.errors import GelsimError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, scene_of
+from gelsim.generate.plan import EPISODE, Catalogue, generator, load_plan
 from gelsim.generate.run import Book, Progress, crew_of, features, kept_plan, measure_lights, report_of, sensors_of, sums_of
-from gelsim.randomize import EPISODE, Catalogue, generator, load_plan
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene, scene_table
-from gelsim.workers import Handful, WorkError, work_through
+from gelsim.scene.definition import Scene
+from gelsim.scene.distributions import draw_fields
+from gelsim.scene.layers import build_scene, scene_table
+from gelsim.work.workers import Handful, WorkError, work_through
 
 SEEN = ("camera", "lights", "coating", "markers")
 """What the new sensor brings."""

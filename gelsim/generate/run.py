@@ -15,15 +15,15 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from gelsim.dataset import SCHEMA, Survey, survey, write_episode, write_meta
+from gelsim.data.episodes import SCHEMA, Survey, survey, write_episode, write_meta
 from gelsim.errors import DatasetError, GelsimError, SceneError
 from gelsim.files import whole_file
 from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, is_measured
-from gelsim.randomize import SPLITS, SPLITS_LEARNT, Catalogue, load_plan
-from gelsim.scene import Scene
-from gelsim.workers import Crew, Handful, LocalCrew, WorkError, work_through
+from gelsim.generate.plan import SPLITS, SPLITS_LEARNT, Catalogue, load_plan
+from gelsim.scene.definition import Scene
+from gelsim.work.workers import Crew, Handful, LocalCrew, WorkError, work_through
 
 Progress = Callable[[str, int, int], None]
 
@@ -208,7 +208,7 @@ def crew_of(workers: int | None, device: str, ray: str | None, solves: bool = Tr
     if device not in DEVICES:
         raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
     if ray is not None:
-        from gelsim.cluster import RayCrew
+        from gelsim.work.cluster import RayCrew
 
         return RayCrew(ray, workers, gpu=device == "cuda")
     gpus = gpus_of(device)
@@ -231,7 +231,7 @@ def gpus_of(device: str) -> list[str]:
 
 
 def sums_of(path: Path) -> dict[str, Any]:
-    from gelsim.dataset import read_members
+    from gelsim.data.episodes import read_members
 
     return json.loads(read_members(path, ["row.json"])["row.json"])["sums"]
 

@@ -31,14 +31,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.lightfield import PACKET, LightField, read_field, write_field
-from gelsim.membrane import rest_membrane
+from gelsim.data.lightfield import PACKET, LightField, read_field, write_field
+from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
 from gelsim.optics.isp import develop
 from gelsim.optics.probes import bumpy_membrane, dented_membrane
 from gelsim.optics.variant import VariantChoice
 from gelsim.results import Membrane
-from gelsim.scene import Coating, Render, Scene
+from gelsim.scene.definition import Coating, Render, Scene
 
 NORMALS = 40
 """Of n_x and of n_y: steps of 0.05; a straight line across the end of a light's cosine errs by a 160th of the light's full strength."""

@@ -1,4 +1,4 @@
-"""A membrane's picture from its sensor's measured light field (`gelsim.lightfield`): milliseconds in place of seconds.
+"""A membrane's picture from its sensor's measured light field (`gelsim.data.lightfield`): milliseconds in place of seconds.
 
     L_c = g [ Σ_k V_k a_k(x, y, z, n) C_kc + γ_c E_c / π + veil_c(x, y) ],      g = grain (1 - m) + paint(n) m,
 
@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.data.lightfield import PACKET, LightField
 from gelsim.errors import RenderError
-from gelsim.lightfield import PACKET, LightField
 from gelsim.optics.arrays import Arrays, Values, aligned_room, choose_arrays
 from gelsim.optics.baked_kernels import DIRECTIONS, LINES, PIECES, STEPS, Layout, coarse_size, draw
 from gelsim.optics.camera import gel_ray, make_lens, pixel_size
@@ -37,7 +37,7 @@ from gelsim.optics.isp import Pipeline, as_picture, camera_pipeline, frame_keys
 from gelsim.optics.lighting import light_pose
 from gelsim.optics.variant import VariantChoice, use_variant
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 MM = 1e3
 CELL = 0.2

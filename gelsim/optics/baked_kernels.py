@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.lightfield import PACKET
+from gelsim.data.lightfield import PACKET
 from gelsim.optics.arrays import Arrays, Values
 from gelsim.optics.isp import Pipeline, develop_pixels, packed_bytes
 

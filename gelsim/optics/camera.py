@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelsim.optics.fresnel import reflectance
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 NEWTON_STEPS = 8
 """From s = 0, for slopes up to 3 in air and indices up to 1.6, four steps leave 1e-3 and six less than rounding."""

@@ -14,8 +14,8 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.markers import OUTLINE_HARMONICS, marker_layout
-from gelsim.scene import Scene
+from gelsim.membrane.markers import OUTLINE_HARMONICS, marker_layout
+from gelsim.scene.definition import Scene
 
 TEXEL = 0.0125e-3
 """Of the marker and grain textures [m]: a third of a default pixel; a marker of 0.2 mm spans 32."""

@@ -17,7 +17,7 @@ from gelsim.errors import RenderError, SceneError
 from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import VariantChoice, use_variant
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 
 def picture_gradient(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gelsim.optics.arrays import Arrays, NumPyArrays, Values
 from gelsim.optics.camera import window_transmission
 from gelsim.optics.shading import shading_gain
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 FOOT = 0.0031308
 """Where sRGB's straight foot ends."""

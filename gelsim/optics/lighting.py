@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError, within
-from gelsim.fields import which
 from gelsim.optics.camera import project
 from gelsim.optics.spectra import light_colour
-from gelsim.scene import Light, Scene
-from gelsim.shapes import gel_height
+from gelsim.scene.definition import Light, Scene
+from gelsim.scene.fields import which
+from gelsim.shape.shapes import gel_height
 
 
 def light_pose(light: Light) -> NDArray[np.float64]:

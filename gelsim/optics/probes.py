@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.membrane import GRID_SPACING, rest_membrane
+from gelsim.membrane.surface import GRID_SPACING, rest_membrane
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 
 def pressed_membrane(scene: Scene, depth: NDArray[np.floating]) -> Membrane:

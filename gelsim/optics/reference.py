@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gelsim.optics.camera import pixel_rays
 from gelsim.optics.spectra import light_colour
-from gelsim.scene import Light, Scene
+from gelsim.scene.definition import Light, Scene
 
 
 def plane_points(scene: Scene) -> NDArray[np.float64]:

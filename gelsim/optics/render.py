@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.lightfield import LightField
+from gelsim.data.lightfield import LightField
 from gelsim.optics import bake
 from gelsim.optics.arrays import choose_arrays
 from gelsim.optics.baked import BakedRenderer
@@ -24,7 +24,7 @@ from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
 from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import VariantChoice, choose_variant, use_variant
 from gelsim.results import Frame, Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 
 def render_frames(

@@ -14,7 +14,7 @@ from gelsim.optics.camera import apparent_distance, apparent_positions, pixel_si
 from gelsim.optics.coating import coating_dict
 from gelsim.optics.lighting import emitter_dict
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 MM = 1e3
 """Millimetres in a metre."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.limits import SHADING_DEGREES
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.limits import SHADING_DEGREES
 
 
 def shading_basis(u: NDArray[np.float64], v: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

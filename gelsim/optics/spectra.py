@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gelsim.errors import SceneError
-from gelsim.scene import Light
+from gelsim.scene.definition import Light
 
 OHNO_WIDTH = 2 * math.sqrt(-math.log(0.80861))
 """Full width at half maximum over Δ: g + 2 g⁵ = 3/2 at g = 0.80861."""

@@ -40,7 +40,7 @@ from gelsim.optics.scene_dict import mesh_arrays, moving_arrays
 from gelsim.optics.spectra import light_colour
 from gelsim.optics.stratified import grid_of, path_groups, path_sets
 from gelsim.results import Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 OFFSET = 2e-3
 """Of a ray's start from the surface [mm], along the normal: Mitsuba's own is of this size here."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gelsim.ledger import Row
-from gelsim.scene_file import Layer
+from gelsim.scene.layers import Layer
 from gelsim.study.definition import Point, Study
 from gelsim.study.light_layout import ring
+from gelsim.work.ledger import Row
 
 NOISE = (2.0, 1.4, 2.5)
 """Of a GelSight Mini, in red, green and blue."""

@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.distributions import check_fields, field_kind
 from gelsim.errors import SceneError
-from gelsim.fields import nearest
-from gelsim.ledger import Row
-from gelsim.scene_file import Layer, anchored, from_folder, read_layer, read_toml
+from gelsim.scene.distributions import check_fields, field_kind
+from gelsim.scene.fields import nearest
+from gelsim.scene.layers import Layer, anchored, from_folder, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
+from gelsim.work.ledger import Row
 
 Point = dict[str, Any]
 """Axis -> value: what distinguishes a case."""

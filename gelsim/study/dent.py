@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelsim.outputs import sample_surface
-from gelsim.shapes import gel_height
+from gelsim.pipeline.outputs import sample_surface
+from gelsim.shape.shapes import gel_height
 from gelsim.study.trial import Trial
 from gelsim.units import MM
 

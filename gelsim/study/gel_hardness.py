@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gelsim.ledger import Row
 from gelsim.study.definition import Study
+from gelsim.work.ledger import Row
 
 UNKNOWN = "unknown_press"
 WHAT = ("change", "equal_force", "equal_depth", UNKNOWN, "unknown_radius")

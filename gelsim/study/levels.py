@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 
 def unrounded(scene: Scene, radiance: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.ledger import Row
-from gelsim.scene_file import Layer
+from gelsim.scene.layers import Layer
 from gelsim.study.definition import Point, Study
+from gelsim.work.ledger import Row
 
 RED, GREEN, BLUE, WHITE = (1.0, 0.05, 0.03), (0.05, 1.0, 0.08), (0.03, 0.08, 1.0), (1.0, 1.0, 1.0)
 """As the camera sees them: a tenth or less of each spills into the others."""

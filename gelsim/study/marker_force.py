@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError, SolveError, SolveStatus
-from gelsim.markers import marker_layout
-from gelsim.scene import Markers, Scene
+from gelsim.membrane.markers import marker_layout
+from gelsim.scene.definition import Markers, Scene
 from gelsim.study.trial import Trial
 from gelsim.units import MM
 
@@ -198,9 +198,9 @@ def press_field(trial: Trial, radius_mm: float, shear_share: float) -> Field:
 def _solved(scene: Scene, device: str) -> Field:
     from scipy.interpolate import CloughTocher2DInterpolator
 
-    from gelsim import pipeline
+    from gelsim.pipeline import stages
 
-    press = pipeline.press(scene, device=device, throw=False)
+    press = stages.press(scene, device=device, throw=False)
     if press.status is not SolveStatus.CONVERGED:
         raise SolveError(press.message or press.status.value, press)
     moved = press.gel.displacement[1:].transpose(1, 0, 2)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gelsim.ledger import Row
 from gelsim.study.definition import Study
+from gelsim.work.ledger import Row
 
 
 def answer(rows: Sequence[Row], study: Study) -> str:

@@ -27,13 +27,13 @@ from typing import Any
 import numpy as np
 
 from gelsim.errors import SceneError
-from gelsim.fields import nearest
-from gelsim.ledger import Ledger, Row
-from gelsim.scene_file import PRESET_SECTIONS, Layer, build_scene, dump_scene, scene_table
+from gelsim.scene.fields import nearest
+from gelsim.scene.layers import PRESET_SECTIONS, Layer, build_scene, dump_scene, scene_table
 from gelsim.study import report
 from gelsim.study.definition import Point, Study, case_name, check_axis, quantile, shown
 from gelsim.study.metrics import METRICS
 from gelsim.study.runner import DONE, RESULTS, case_of, measured
+from gelsim.work.ledger import Ledger, Row
 
 SAMPLES = 8
 STARTS = 3

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
 from gelsim.results import Frame, Membrane
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 from gelsim.study.trial import Trial
 
 FITTED, JUDGED = 4, 4

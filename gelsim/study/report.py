@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.files import digest
-from gelsim.ledger import Row
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 from gelsim.study.definition import Study, shown
 from gelsim.study.metrics import METRICS
 from gelsim.tables import write_csv
+from gelsim.work.ledger import Row
 
 TABLE, PICTURE, PAGE, SHORT = "study.csv", "study.png", "index.html", "study.md"
 INK = "#22272e"

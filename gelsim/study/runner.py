@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from gelsim.errors import GelsimError, SceneError, SolveStatus
-from gelsim.ledger import Ledger, Row
-from gelsim.scene_file import Layer, build_scene
+from gelsim.scene.layers import Layer, build_scene
 from gelsim.study import report
 from gelsim.study.definition import Point, Study, case_name
 from gelsim.study.metrics import METRICS
-from gelsim.workers import Handful, LocalCrew, work_through
+from gelsim.work.ledger import Ledger, Row
+from gelsim.work.workers import Handful, LocalCrew, work_through
 
 RESULTS = "results.jsonl"
 DONE = SolveStatus.CONVERGED.name

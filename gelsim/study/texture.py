@@ -31,7 +31,7 @@ def texture_signal(trial: Trial) -> float:
     Raises:
         SceneError: The camera has no noise, or pixels are too coarse for the wave.
     """
-    from gelsim.membrane import moved_membrane
+    from gelsim.membrane.surface import moved_membrane
     from gelsim.optics.camera import pixel_size
 
     noise = np.array(trial.scene.camera.noise_sd)

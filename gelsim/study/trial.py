@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.results import Deformation, Frame, Membrane
-from gelsim.scene import Scene
-from gelsim.scene_file import Layer, build_scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import Layer, build_scene
 from gelsim.study.definition import nested
 
 T = TypeVar("T")
@@ -57,9 +57,9 @@ class Trial:
     @cached_property
     def press(self) -> Deformation:
         """Raises SolveError where it did not come to its end."""
-        from gelsim import pipeline
+        from gelsim.pipeline import stages
 
-        press = pipeline.press(self.scene, device=self.device, throw=False)
+        press = stages.press(self.scene, device=self.device, throw=False)
         if press.status is not SolveStatus.CONVERGED:
             raise SolveError(press.message or press.status.value, press)
         return press
@@ -67,9 +67,9 @@ class Trial:
     @cached_property
     def membranes(self) -> list[Membrane]:
         """Of every recorded state."""
-        from gelsim import pipeline
+        from gelsim.pipeline import stages
 
-        return pipeline.membranes(self.scene, self.press)
+        return stages.membranes(self.scene, self.press)
 
     @cached_property
     def frames(self) -> list[Frame]:
@@ -79,7 +79,7 @@ class Trial:
     @cached_property
     def rest(self) -> Frame:
         """The picture without contact."""
-        from gelsim.membrane import rest_membrane
+        from gelsim.membrane.surface import rest_membrane
 
         return self.draw([rest_membrane(self.scene)])[0]
 
@@ -92,7 +92,7 @@ class Trial:
     def heights(self, state: int) -> NDArray[np.float64]:
         """Rest height taken from the height of the membrane that each pixel sees, at a recorded state [m], (H, W); NaN beside the gel."""
         from gelsim import optics
-        from gelsim.membrane import rest_membrane
+        from gelsim.membrane.surface import rest_membrane
 
         rest = optics.height_map(self.scene, rest_membrane(self.scene))
         return (optics.height_map(self.scene, self.membranes[state]) - rest).astype(np.float64)

@@ -62,7 +62,7 @@ def smallest_dent(trial: Trial, defocus: float) -> float:
 
 def _change(trial: Trial) -> tuple[np.ndarray, float]:
     """∂P/∂depth (H, W, 3) [levels/m] around the middle, and its pixels' size [m]."""
-    from gelsim.membrane import moved_membrane
+    from gelsim.membrane.surface import moved_membrane
     from gelsim.optics.camera import pixel_size
 
     near = trial.beside(FINE)

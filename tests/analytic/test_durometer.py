@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim import cli, durometer, materials
+from gelsim import durometer
+from gelsim.cli import main as cli
 from gelsim.errors import GelsimError
+from gelsim.scene import materials
 
 TIP = materials.TIP_RADIUS
 
@@ -40,7 +42,7 @@ def test_sneddons_ball_by_the_fact_sheet() -> None:
 def test_a_sticking_tip_needs_more_force_and_reads_softer_moduli() -> None:
     slides, sticks = (durometer.modulus(40.0, "00", friction, "fast") for friction in (durometer.SMOOTH, durometer.STICK))
     assert 1.01 * sticks < slides < 1.15 * sticks
-    # The relation of gelsim.materials lies within the 20 % that docs/physics.md gives it.
+    # The relation of gelsim.scene.materials lies within the 20 % that docs/physics.md gives it.
     assert materials.modulus_from_shore_00(40.0) == pytest.approx(sticks, rel=0.2)
 
 

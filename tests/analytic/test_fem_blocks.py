@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from gelsim.fem.assembly import Solids
 from gelsim.geometry import TetMesh, outer_faces
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
 MODULUS = 50e3  # Pa

@@ -9,15 +9,16 @@ import pytest
 from fem_fixtures import box_mesh, cap_scene, equilibrium, flat_gel, soft_cap, solved, tangent_of
 from scipy.optimize import brentq
 
-from gelsim import materials, shapes
 from gelsim.fem import reference
 from gelsim.fem.assembly import Solids
 from gelsim.fem.elements import tet_quadrature_data
 from gelsim.fem.pattern import split_pressures
 from gelsim.fem.problem import PressProblem, isochoric_constants
 from gelsim.geometry import TET_EDGES, TetMesh
-from gelsim.materials import ElasticMaterial
-from gelsim.scene import Grains, Skin
+from gelsim.scene import materials
+from gelsim.scene.definition import Grains, Skin
+from gelsim.scene.materials import ElasticMaterial
+from gelsim.shape import shapes
 
 EPS = np.finfo(float).eps
 MM = 1e-3

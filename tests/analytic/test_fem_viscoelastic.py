@@ -12,8 +12,8 @@ from gelsim.fem import quasistatic, reference
 from gelsim.fem.assembly import Solids
 from gelsim.fem.viscoelastic import Memory, isochoric_stress, prony_arrays
 from gelsim.geometry import TetMesh, quadratic_tets
-from gelsim.materials import ElasticMaterial
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
 MM = 1e-3

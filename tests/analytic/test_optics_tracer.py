@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelsim.membrane import rest_membrane
+from gelsim.membrane.surface import rest_membrane
 from gelsim.optics import choose_variant
 from gelsim.optics.coating import coating_dict, flake_albedo
 from gelsim.optics.fresnel import critical_angle, diffuse_return, reflectance
@@ -15,7 +15,7 @@ from gelsim.optics.reference import irradiance, lambert_plane
 from gelsim.optics.render import native
 from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import use_variant
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
 COATS = [Coating(albedo=(0.9, 0.5, 0.1)), Coating(specular=0.25, roughness=0.45), Coating(specular=1.0, roughness=0.15)]
 

@@ -7,8 +7,8 @@ import pytest
 from planar_fixtures import Array, grid, press_of, solids_of
 
 from gelsim.fem.equilibrium import equilibrium
-from gelsim.materials import ElasticMaterial
-from gelsim.scene import Body, Contact, Gel, Press, Scene
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
+from gelsim.scene.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
 

@@ -9,13 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
-from gelsim.ledger import Row
-from gelsim.materials import modulus_from_shore_00
-from gelsim.membrane import GRID_SPACING, rest_membrane
+from gelsim.membrane.surface import GRID_SPACING, rest_membrane
 from gelsim.optics import height_map
 from gelsim.optics.camera import pixel_size
 from gelsim.optics.isp import srgb_tone
 from gelsim.results import Frame, Membrane
+from gelsim.scene.materials import modulus_from_shore_00
 from gelsim.study import runner, visible
 from gelsim.study.definition import load_study, nested
 from gelsim.study.discrimination import RADIUS_UNKNOWN, SLOPE_NOISE, combine, sensitivity
@@ -24,6 +23,7 @@ from gelsim.study.photometric import exposed
 from gelsim.study.texture import WAVELENGTH, texture_signal
 from gelsim.study.trial import Trial
 from gelsim.study.visible import BELL, DEEP, smallest_dent
+from gelsim.work.ledger import Row
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gelsim.calibrate import run
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 
 
 @pytest.mark.slow

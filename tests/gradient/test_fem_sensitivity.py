@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from fem_fixtures import Array, ball_scene, cap_scene, flat_gel, problem_of, rigid_body, soft_cap
 
-from gelsim import pipeline
 from gelsim.errors import SceneError
 from gelsim.fem import sensitivity
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.sensitivity import Adjoint, press_sensitivity
+from gelsim.pipeline import stages
 from gelsim.results import PressSensitivity
-from gelsim.scene import Contact
+from gelsim.scene.definition import Contact
 
 MODULI = 50.0, 100.0  # kPa, gel and object
 DEPTH = 0.4  # mm
@@ -143,4 +143,4 @@ def test_friction_is_refused() -> None:
     with pytest.raises(SceneError, match="friction_coefficient = 0.5"):
         press_sensitivity(problem_of(scene, flat_gel(), rigid_body(scene, flat_gel())), [50.0], [])
     with pytest.raises(SceneError, match="points_mm: point 2 .* off the gel"):
-        pipeline.press_sensitivity(scene, [(0.0, 0.0), (13.0, 0.0)])
+        stages.press_sensitivity(scene, [(0.0, 0.0), (13.0, 0.0)])

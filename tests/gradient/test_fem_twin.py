@@ -9,7 +9,7 @@ from fem_fixtures import Array, solids_of, tangent_of
 from gelsim.fem import reference
 from gelsim.fem.assembly import Solids
 from gelsim.geometry import TetMesh, quadratic_tets
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
 # Two tets that share a face, of no symmetry, about 1 mm across; positions in metres.

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from gelsim.errors import RenderError, SceneError
-from gelsim.membrane import moved_membrane
+from gelsim.membrane.surface import moved_membrane
 from gelsim.optics import choose_variant
 from gelsim.optics.gradient import picture_gradient
 from gelsim.optics.render import Renderer
 from gelsim.optics.variant import SCALAR
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
 
 @pytest.fixture

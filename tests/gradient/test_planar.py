@@ -15,7 +15,7 @@ from gelsim.fem.equilibrium import tangent_of
 from gelsim.fem.pattern import build_pattern, pair_keys
 from gelsim.fem.planar.assembly import PlanarSolids
 from gelsim.fem.planar.contact import EdgeContact
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
 LAWS = {

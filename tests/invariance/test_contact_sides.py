@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim import pipeline
 from gelsim.errors import SolveStatus
 from gelsim.fem.contact import rest_weights
 from gelsim.fem.elements import triangle_quadrature
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.recording import _hats
-from gelsim.materials import gel_material, object_material
+from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
+from gelsim.scene.materials import gel_material, object_material
 
 # At `balanced` each is within 2 % of the force and 5 µm of the surface of a converged solution (docs/validation.md, Accuracy).
 FORCE, SURFACE = 0.02, 5e-6
@@ -32,7 +32,7 @@ def press(on_object: bool, **contact: object) -> tuple[PressProblem, Deformation
             "press": {"depth_mm": 0.8, "force_n": "none", "frames": 5, "symmetry": "mirror", "shear_mm": [0.0, 0.0]},
         }
     )
-    gel, body, placement = pipeline.bodies(scene)
+    gel, body, placement = stages.bodies(scene)
     problem = PressProblem(scene, gel, body, placement, gel_material(scene), object_material(scene), "cpu", on_object=on_object)
     return problem, run_press(problem)
 

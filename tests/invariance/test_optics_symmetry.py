@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelsim.membrane import membrane_states, rest_membrane
+from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.optics import render_frames
 from gelsim.optics.render import Renderer
 from gelsim.optics.variant import SCALAR
 from gelsim.results import Deformation, SurfaceMotion
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
 SEEDS = 6
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import warp as wp
 
-from gelsim import pipeline
 from gelsim.errors import PressEnd, SolveStatus
 from gelsim.fem import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, _problem, _tries, solve_batch, ways
 from gelsim.fem.batch import Costs, _Batch, run_batch
@@ -21,10 +20,11 @@ from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, PressProblem
 from gelsim.fem.quasistatic import OVERLAP_MM, Request
-from gelsim.materials import gel_material, object_material
+from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene
+from gelsim.scene.materials import gel_material, object_material
 
 # A press by itself is solved on factors of its own, in a batch on older ones: the multipliers take over from another rough solve, so that
 # the two end elsewhere, as a step may leave OVERLAP_MM either way. And they may keep other faces on the way (from the seventh iteration
@@ -52,7 +52,7 @@ def scene(modulus: float, friction: float | str = 0.0, **press: object) -> Scene
 
 
 def alone(one: Scene) -> Deformation:
-    return pipeline.press(one, device="cpu", throw=False)
+    return stages.press(one, device="cpu", throw=False)
 
 
 def same_force(one: Deformation, other: Deformation) -> bool:
@@ -70,13 +70,13 @@ SCENES = [scene(30.0), scene(600.0), scene(200.0, 0.5), scene(100.0, "stick"), s
 
 @pytest.fixture(scope="module")
 def together() -> list[Deformation]:
-    return pipeline.press_batch(SCENES, device="cpu")
+    return stages.press_batch(SCENES, device="cpu")
 
 
 def test_neighbours_do_not_matter(together: list[Deformation]) -> None:
     others = [scene(45.0), scene(300.0), scene(120.0, 0.3), scene(70.0, "stick"), scene(250.0, 0.2)]
     for kept in ((0, 2, 4), (1, 3)):
-        again = pipeline.press_batch([SCENES[i] if i in kept else others[i] for i in range(5)], device="cpu")
+        again = stages.press_batch([SCENES[i] if i in kept else others[i] for i in range(5)], device="cpu")
         for i, (one, press) in enumerate(zip(together, again, strict=True)):
             assert one.status is SolveStatus.CONVERGED
             if i not in kept:  # planted: another press is seen
@@ -109,7 +109,7 @@ def test_a_batch_gives_what_presses_by_themselves_give(together: list[Deformatio
 
 def test_a_press_that_fails_leaves_the_others_alone() -> None:
     good = scene(200.0)
-    problems = [PressProblem(good, *pipeline.bodies(good), gel_material(good), object_material(good), "cpu") for _ in range(2)]
+    problems = [PressProblem(good, *stages.bodies(good), gel_material(good), object_material(good), "cpu") for _ in range(2)]
     problems[0].options = NewtonOptions(tolerance=1e-30, max_iterations=3)  # never there
     lost, kept = run_batch(problems)
     single = alone(good)
@@ -143,7 +143,7 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[int, int]] = []
     solved = alone(scenes[0])
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
-    bodies = [(one, *pipeline.bodies(one)) for one in scenes]
+    bodies = [(one, *stages.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
     # what friction holds goes on with points on the object, the others with volume held; then all begin at rest
     plain, held, turned = (False, 6), (False, 12), (True, 6)
@@ -196,7 +196,7 @@ def test_a_nudge_is_less_than_a_thousandth_of_the_force() -> None:
         press = {"depth_mm": 1.0, "force_n": "none", "frames": 4, "symmetry": "mirror"}
         body = {"shape": "hemisphere", "youngs_modulus_kpa": 200.0}
         one = build_scene({"gel": {"profile": "flat"}, "object": body, "press": press, "contact": {"friction_coefficient": friction}})
-        return float(-pipeline.press(one).force[-1, 2])
+        return float(-stages.press(one).force[-1, 2])
 
     free = force(0.0)
     assert abs(force(NUDGE) / free - 1) < 1e-3
@@ -231,7 +231,7 @@ def test_what_remembers_has_all_its_patience_in_one_try() -> None:
         one = build_scene(
             {"gel": gel, "object": body, "contact": {"friction_coefficient": 0.0}, "fidelity": "fast", "press": {"symmetry": "none"}}
         )
-        assert _problem(ways(one)[0], one, *pipeline.bodies(one), "cpu").most_wasted == patience
+        assert _problem(ways(one)[0], one, *stages.bodies(one), "cpu").most_wasted == patience
 
 
 def test_who_goes_on_and_how_long_each_may_fail() -> None:
@@ -255,7 +255,7 @@ def test_who_goes_on_and_how_long_each_may_fail() -> None:
 def test_a_saddle_is_made_stiffer() -> None:
     """A scene whose matrix has a negative eigenvalue too many gets stiffer displacements until it has none; its neighbours do not."""
     one = scene(200.0)
-    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
+    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
     batch = _Batch(problems, None)
     batch.residual()
     batch._assemble(np.ones(2, bool))
@@ -287,7 +287,7 @@ def test_a_saddle_is_made_stiffer() -> None:
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
 def test_a_saddle_keeps_its_shift_while_a_neighbour_needs_a_larger_one() -> None:
     one = scene(200.0)
-    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
+    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
     batch, both = _Batch(problems, None), np.ones(2, bool)
     batch.residual()
     batch._assemble(both)
@@ -322,7 +322,7 @@ def test_patience_is_the_same_alone_and_in_a_batch() -> None:
     """A residual that stays: a patient solve takes all iterations there are, another ends where exact steps lead nowhere."""
     one = scene(200.0)
     for patient in (True, False):
-        problem = PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu", patient=patient)
+        problem = PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu", patient=patient)
 
         def stays(*given: Any, residual: Callable[..., Residual] = problem.newton.residual, **named: Any) -> Residual:
             return replace(residual(*given, **named), imbalance=1.0)
@@ -369,7 +369,7 @@ class NoGood:
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
 def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [scene(30.0, frames=3), scene(200.0, 0.5, frames=3)]
-    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
+    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
     batch, no_good = _Batch(problems, None), NoGood(wrong)
     monkeypatch.setattr(batch.system, "_cudss", no_good)
     monkeypatch.setattr(batch.system, "_direct", [None, None])
@@ -388,7 +388,7 @@ def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.Monkey
     assert batch.moved.tolist() == [False, True] and batch.system._direct[0] is None
     assert no_good.factorised[1] == 2 * patterns  # of each pattern once, and once more to be sure
     # planted: without the replacement it stops
-    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
+    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
     batch = _Batch(problems, None)
     monkeypatch.setattr(batch.system, "_cudss", NoGood(wrong))
     monkeypatch.setattr(batch.system, "_direct", [None, None])
@@ -425,13 +425,13 @@ def test_what_is_recorded_once_holds_from_then_on(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("gelsim.fem.batch.REACH_MM", 0.1)  # so that the pattern grows under way
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # a GPU's tangent is one launch
-    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
+    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
     plain = run_batch(problems)
     for wrapper, names in ((keeping, ((wp, "launch"), (wp, "copy"), (wp.array, "zero_"), (wp.Mesh, "refit"))),
                            (refused, ((wp, "zeros"), (wp, "clone"), (wp.array, "numpy"), (wp.array, "assign")))):  # fmt: skip
         for owner, name in names:
             monkeypatch.setattr(owner, name, wrapper(getattr(owner, name)))
-    problems = [PressProblem(one, *pipeline.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
+    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
     batch, grown = _Batch(problems, None), []
     batch._record = record
     monkeypatch.setattr(batch.system, "analyse", lambda *pattern: grown.append(BatchedSystem.analyse(batch.system, *pattern)))
@@ -443,15 +443,15 @@ def test_what_is_recorded_once_holds_from_then_on(monkeypatch: pytest.MonkeyPatc
 
 
 def test_scenes_of_other_meshes_are_told_apart() -> None:
-    coarse = pipeline.bodies(scene(200.0))
-    other = pipeline.bodies(build_scene({"fidelity": "fast", "object": {"shape": "cone"}}))
+    coarse = stages.bodies(scene(200.0))
+    other = stages.bodies(build_scene({"fidelity": "fast", "object": {"shape": "cone"}}))
     with pytest.raises(ValueError, match="same meshes"):
         solve_batch([(scene(200.0), *coarse), (scene(200.0), *other)], device="cpu")
 
 
 def test_costs_say_where_the_time_went() -> None:
     costs = Costs()
-    solve_batch([(scene(200.0), *pipeline.bodies(scene(200.0)))], device="cpu", costs=costs)
+    solve_batch([(scene(200.0), *stages.bodies(scene(200.0)))], device="cpu", costs=costs)
     assert costs.unknowns > 1000 and costs.systems["factorise"] >= 1 and costs.systems["solve"] > costs.calls["residual"] / 4
     assert set(costs.seconds) >= {"residual", "tangent", "factorise", "solve", "pattern", "march", "prepare"}
 
@@ -484,7 +484,7 @@ def test_gmres_against_numpy() -> None:
 
 
 def test_what_reduces_to_a_profile_is_not_batched() -> None:
-    reduced, solid = pipeline.press_batch([scene(200.0, symmetry="auto"), scene(200.0)], device="cpu")
+    reduced, solid = stages.press_batch([scene(200.0, symmetry="auto"), scene(200.0)], device="cpu")
     assert reduced.info["unknowns"] < solid.info["unknowns"]
     assert reduced.force[-1, 2] == pytest.approx(solid.force[-1, 2], rel=0.05)  # `fast`: within 5 % each
 
@@ -492,5 +492,5 @@ def test_what_reduces_to_a_profile_is_not_batched() -> None:
 @pytest.mark.gpu
 def test_cuda_gives_the_same() -> None:
     scenes = [scene(30.0), scene(600.0), scene(200.0, 0.5)]
-    for press, single in zip(pipeline.press_batch(scenes, device="cuda"), map(alone, scenes), strict=True):
+    for press, single in zip(stages.press_batch(scenes, device="cuda"), map(alone, scenes), strict=True):
         assert same_force(single, press)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from gelsim import pipeline
 from gelsim.errors import SolveStatus
-from gelsim.scene import Body, Contact, Gel, Grains, Press, Scene, Skin
+from gelsim.pipeline import stages
+from gelsim.scene.definition import Body, Contact, Gel, Grains, Press, Scene, Skin
 
 SHAPES = [
     Body(shape="tube", height_mm=12, length_mm=10),
@@ -23,7 +23,7 @@ SHAPES = [
 @pytest.mark.slow
 @pytest.mark.parametrize("body", SHAPES, ids=[body.shape for body in SHAPES])
 def test_the_press_ends(body: Body) -> None:
-    found = pipeline.press(Scene(object=body, gel=Gel(profile="flat"), press=Press(depth_mm=0.5, force_n=None, frames=3), fidelity="fast"))
+    found = stages.press(Scene(object=body, gel=Gel(profile="flat"), press=Press(depth_mm=0.5, force_n=None, frames=3), fidelity="fast"))
     assert found.status is SolveStatus.CONVERGED and len(found.force) == 3
     assert found.min_jacobian.min() > 0.5 and found.penetration.max() < 40e-6
     assert -found.force[2, 2] > -found.force[1, 2] > 0.0
@@ -34,7 +34,7 @@ def force(skin: Skin, fidelity: str) -> float:
     body = Body(shape="hemisphere", height_mm=10, youngs_modulus_kpa=100, skin=skin)
     press = Press(depth_mm=0.8, force_n=None, frames=3)
     gel = Gel(profile="flat", youngs_modulus_kpa=50)
-    return float(-pipeline.press(Scene(object=body, gel=gel, contact=Contact(0.0), press=press, fidelity=fidelity)).force[-1, 2])
+    return float(-stages.press(Scene(object=body, gel=gel, contact=Contact(0.0), press=press, fidelity=fidelity)).force[-1, 2])
 
 
 @pytest.mark.slow
@@ -65,7 +65,7 @@ def test_a_skin_of_the_flesh_changes_only_the_mesh() -> None:
 )
 def test_an_object_beyond_the_border_of_the_gel_is_noted(body: Body, offset: tuple[float, float], beyond: str | None) -> None:
     press = Press(depth_mm=0.5, force_n=None, frames=3, offset_mm=offset)
-    found = pipeline.press(Scene(gel=Gel("flat", (12.0, 12.0), 3.0), object=body, press=press, fidelity="fast"))
+    found = stages.press(Scene(gel=Gel("flat", (12.0, 12.0), 3.0), object=body, press=press, fidelity="fast"))
     told = found.info.get("warnings", [])
     assert found.status is SolveStatus.CONVERGED
     assert told == (

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelsim import pipeline
 from gelsim.errors import SolveStatus
-from gelsim.scene_file import load_scene
+from gelsim.pipeline import stages
+from gelsim.scene.layers import load_scene
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 
@@ -18,7 +18,7 @@ SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_shipped_scene_is_solved(path: Path) -> None:
     scene = load_scene(path)
-    press = pipeline.press(scene)
+    press = stages.press(scene)
     assert press.status is SolveStatus.CONVERGED and len(press.approach) == scene.press.frames
     assert (press.min_jacobian > 0).all()
     # The promise: a pixel of the real camera is 19 µm wide, so an overlap below 20 µm is not seen. Found: 3 to 14 µm; a rigid rod: 53 µm.

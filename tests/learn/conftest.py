@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim.dataset import episode_file, survey, write_episode, write_meta
+from gelsim.data.episodes import episode_file, survey, write_episode, write_meta
 from gelsim.results import Episode
 from learn.config import configure
 from learn.train import train

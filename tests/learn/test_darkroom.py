@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from dataset_fixtures import TINY, put_fields
 
-from gelsim.dataset import gel_facts, load_dataset, survey, write_episode, write_meta
+from gelsim.data.episodes import gel_facts, load_dataset, survey, write_episode, write_meta
+from gelsim.data.motion import Motion
 from gelsim.errors import DatasetError, SceneError
 from gelsim.generate import recording
 from gelsim.generate.darkroom import small
 from gelsim.generate.light import Studio
+from gelsim.generate.plan import Catalogue, Press, load_plan
 from gelsim.generate.relight import own_catalogue, plan_of, relit_episode
 from gelsim.generate.run import keep_plan, kept_plan
-from gelsim.motion import Motion
-from gelsim.randomize import Catalogue, Press, load_plan
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 from learn import recordings
 from learn.config import configure
 from learn.recordings import Archive, archive, camera_noise

@@ -10,7 +10,7 @@ import pytest
 import torch
 from conftest import TINY
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from learn import recordings
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import LearnError, configure

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from learn import checkpoint
 from learn.config import LearnError
 from learn.data import Press, held_presses

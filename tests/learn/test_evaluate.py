@@ -12,7 +12,7 @@ import pytest
 import torch
 from conftest import fake_dataset
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from learn import checkpoint, scores
 from learn.baselines import NAMES, RIDGES, fit_baselines, over_time, ridge_weights
 from learn.config import LearnError, configure

@@ -10,7 +10,7 @@ import pytest
 import torch
 from conftest import TINY
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from learn.config import LearnError, configure
 from learn.data import HARDEST, Batch, sides
 from learn.features import press_features

@@ -15,9 +15,9 @@ import torch
 from conftest import COLUMNS, ROWS, fake_dataset, fake_press, fake_row
 from PIL import Image
 
-from gelsim.dataset import load_dataset
-from gelsim.scene import Gel, Scene
-from gelsim.scene_file import dump_scene
+from gelsim.data.episodes import load_dataset
+from gelsim.scene.definition import Gel, Scene
+from gelsim.scene.layers import dump_scene
 from learn import cli
 from learn.config import LearnError
 from learn.novelty import fit_novelty

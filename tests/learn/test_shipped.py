@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from gelsim.cli import main as gelsim
-from gelsim.dataset import gel_facts, load_dataset
-from gelsim.randomize import Catalogue, load_plan
+from gelsim.data.episodes import gel_facts, load_dataset
+from gelsim.generate.plan import Catalogue, load_plan
 from learn.checkpoint import load
 from learn.data import UNKNOWN_GEL, Gel, Press, choose, gel_of
 from learn.ensemble import Ensemble

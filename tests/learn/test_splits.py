@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from gelsim.errors import DatasetError
 from learn.data import sides
 from learn.splits import check_splits, split_by_object

@@ -16,7 +16,7 @@ import pytest
 import torch
 from conftest import TINY, fake_dataset
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from gelsim.errors import GelsimError
 from learn import checkpoint, cli
 from learn.config import LearnError, configure, from_plain, to_plain

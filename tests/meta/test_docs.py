@@ -29,7 +29,9 @@ def test_api_pages_name_what_there_is() -> None:
         len(re.findall(r"^ {6}members: \[.*\]$", page, re.MULTILINE)) for page in pages.values()
     )
     assert {name: list(missing_names(page)) for name, page in pages.items() if list(missing_names(page))} == {}
-    assert list(missing_names("::: gelsim.pipeline\n    options:\n      members: [press, presss]")) == ["gelsim.pipeline.presss"]
+    assert list(missing_names("::: gelsim.pipeline.stages\n    options:\n      members: [press, presss]")) == [
+        "gelsim.pipeline.stages.presss"
+    ]
 
 
 def unknown_parameters(source: str) -> Iterator[str]:

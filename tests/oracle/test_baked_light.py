@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gelsim.optics import bake, choose_variant
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
 pytestmark = [
     pytest.mark.slow,

@@ -13,7 +13,7 @@ from gelsim.calibrate.fit import Data, Evaluation
 from gelsim.calibrate.parameters import Parameters, curvature_of, dome_of, empty_scene, to_scene
 from gelsim.calibrate.start import shading_basis
 from gelsim.optics.camera import project
-from gelsim.scene import Camera, Gel, Lights, Render
+from gelsim.scene.definition import Camera, Gel, Lights, Render
 
 BALL_MM, CURVATURE, SIZE = 2.0, 1 / 40, (48, 36)
 PRESSES = np.array([[0.9, -0.6, 0.9], [-3.0, 1.5, 0.6]])

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CloughTocher2DInterpolator, LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from gelsim.clough_tocher import Interpolation
+from gelsim.membrane.clough_tocher import Interpolation
 
 LINES = [np.linspace(-0.9, 0.9, count) for count in (2001, 20001)]
 

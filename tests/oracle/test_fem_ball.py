@@ -13,7 +13,7 @@ from fem_fixtures import E_GEL, MM, ball_press, ball_scene, equilibrium, flat_ge
 
 from gelsim.fem.locking import lock
 from gelsim.geometry import volume
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 
 AXISYMMETRIC = {  # ν = 0.499: depth [mm] -> force [N], contact radius [mm]
     0.1: (0.00931667, 0.7997),
@@ -98,7 +98,8 @@ def test_a_locking_element_is_seen(nu: float) -> None:
 @pytest.mark.slow
 def test_ball_force_on_a_real_mesh() -> None:
     """The same through fTetWild's unstructured mesh, as users get it by default (its scatter at `fast` can exceed 5 % at 0.1 mm)."""
-    from gelsim import gel_mesh, shapes
+    from gelsim.mesh import gel_mesh
+    from gelsim.shape import shapes
 
     scene = ball_scene(0.6, 7, fidelity="balanced")
     assert shapes.press_symmetry(scene) == {"x", "y"}
@@ -113,12 +114,12 @@ def test_soft_hemisphere_on_real_meshes() -> None:
     """Two soft bodies: E = 200 kPa, R = 5 mm, 25 mm tall, base driven 0.6 mm (same sources; codes agree within 0.5 %)."""
     from dataclasses import replace
 
-    from gelsim import gel_mesh, meshing
-    from gelsim.scene import Body
+    from gelsim.mesh import body_mesh, gel_mesh
+    from gelsim.scene.definition import Body
 
     scene = ball_scene(0.6, 4, fidelity="balanced")
     scene = replace(scene, object=Body(shape="hemisphere", radius_mm=5.0, height_mm=25.0, youngs_modulus_kpa=200.0))
-    gel, body = gel_mesh.mesh_gel(scene, frozenset("xy")), meshing.mesh_object(scene, frozenset("xy"))
+    gel, body = gel_mesh.mesh_gel(scene, frozenset("xy")), body_mesh.mesh_object(scene, frozenset("xy"))
     _, press = solved(problem_of(scene, gel, body))
     for state, wanted in ((1, 0.0183302), (2, 0.0558856), (3, 0.106384)):
         assert -press.force[state, 2] == pytest.approx(wanted, rel=ALLOWED)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from gelsim.errors import SceneError
-from gelsim.membrane import moved_membrane
+from gelsim.membrane.surface import moved_membrane
 from gelsim.optics.render import ScalarRenderer
 from gelsim.optics.scene_dict import scene_dict
 from gelsim.optics.spectra import WAVELENGTHS, camera_sensitivities, led_spectrum, light_colour, reflectance_rgb, rgb_on_coat, spectrum_rgb
 from gelsim.optics.variant import SCALAR, use_variant
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
 BRONZE = 0.25 + 0.4 / (1 + np.exp(-(WAVELENGTHS - 560) / 35))
 """A strongly coloured coat: the worst case for three channels."""

@@ -9,9 +9,9 @@ import pytest
 from test_lightfield import linear_field, linear_value
 from test_optics import imaged_centroids
 
+from gelsim.data.lightfield import LightField
 from gelsim.errors import RenderError
-from gelsim.lightfield import LightField
-from gelsim.membrane import rest_membrane
+from gelsim.membrane.surface import rest_membrane
 from gelsim.optics import baked, choose_variant
 from gelsim.optics.arrays import NumPyArrays, choose_arrays
 from gelsim.optics.baked import BakedRenderer, straight_rays
@@ -20,7 +20,7 @@ from gelsim.optics.lighting import light_pose
 from gelsim.optics.probes import pressed_membrane
 from gelsim.optics.variant import SCALAR
 from gelsim.results import Membrane
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
 VARIANTS = [SCALAR] if choose_variant("cpu").name == SCALAR.name else [SCALAR, choose_variant("cpu")]
 

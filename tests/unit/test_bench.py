@@ -19,8 +19,8 @@ import pytest
 from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability, target
 from gelsim.bench.section import Case, Options, Section
 from gelsim.errors import PressEnd, SceneError
-from gelsim.scene_file import build_scene
-from gelsim.workers import Handful, LocalCrew, work_through
+from gelsim.scene.layers import build_scene
+from gelsim.work.workers import Handful, LocalCrew, work_through
 
 
 @pytest.mark.parametrize("name", SECTIONS)

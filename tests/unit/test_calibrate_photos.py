@@ -13,9 +13,9 @@ from PIL import Image
 from gelsim.calibrate import run
 from gelsim.calibrate.parameters import GLOBALS, Parameters
 from gelsim.calibrate.photos import read_photos
-from gelsim.cli import main
+from gelsim.cli.main import main
 from gelsim.errors import SceneError
-from gelsim.outputs import write_radiance
+from gelsim.pipeline.outputs import write_radiance
 
 GOOD = 'ball_radius_mm = 2.0\nno_contact = "rest.png"\n'
 

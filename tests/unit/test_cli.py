@@ -11,14 +11,16 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from gelsim import cli, console, pipeline
+from gelsim import console
+from gelsim.cli import main as cli
+from gelsim.cli.flags import Parser, add_scene_flags, layer_of
 from gelsim.errors import SolveError, SolveStatus
-from gelsim.fields import field_types
-from gelsim.flags import Parser, add_scene_flags, layer_of
 from gelsim.optics import variant
+from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.fields import field_types
+from gelsim.scene.layers import build_scene
 
 
 @pytest.fixture(autouse=True)
@@ -147,14 +149,14 @@ def test_unsolved_press_exits_3_and_keeps_what_was_solved(
     def give_up(*_: object, **__: object) -> Deformation:
         raise SolveError("press stopped at step 3: residual 0.2 N", stopped)
 
-    monkeypatch.setattr(pipeline, "press", give_up)
+    monkeypatch.setattr(stages, "press", give_up)
     assert cli.main(["render", "--out", "kept"]) == cli.NUMERICS
     assert "residual 0.2 N (what was solved is in kept)" in capfd.readouterr().err
     assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == ["press.npz", "report.json", "scene.toml"]
     report = json.loads((tmp_path / "kept/report.json").read_text())
     assert report["error"].startswith("press stopped") and report["status"] == SolveStatus.MAX_ITERATIONS.value
     # What is kept cannot be taken for a whole press.
-    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    monkeypatch.setattr(stages, "press", lambda *_, **__: deformation)
     assert cli.main(["press", "--out", "kept", "--resume"]) == cli.OK
     assert json.loads((tmp_path / "kept/report.json").read_text())["status"] == SolveStatus.CONVERGED.value
 
@@ -162,13 +164,13 @@ def test_unsolved_press_exits_3_and_keeps_what_was_solved(
 def test_resume_takes_the_press_of_the_same_scene(
     deformation: Deformation, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    monkeypatch.setattr(stages, "press", lambda *_, **__: deformation)
     assert cli.main(["press", "--out", "a"]) == cli.OK
 
     def never(*_: object, **__: object) -> Deformation:
         raise AssertionError("solved again")
 
-    monkeypatch.setattr(pipeline, "press", never)
+    monkeypatch.setattr(stages, "press", never)
     assert cli.main(["press", "--out", "a", "--resume"]) == cli.OK
     assert cli.main(["press", "--out", "a", "--resume", "--shore", "31"]) == cli.BAD_INPUT
     assert "made with another [object]" in capfd.readouterr().err
@@ -179,17 +181,17 @@ def test_resume_tells_of_the_press_what_was_told_when_it_was_solved(
 ) -> None:
     from dataclasses import replace
 
-    def solve(*_: object, record: pipeline.Record, **__: object) -> Deformation:
+    def solve(*_: object, record: stages.Record, **__: object) -> Deformation:
         record.meshes["gel"] = {"tets": 7}
         record.choices["symmetry"] = ["x"]
         record.warnings.append("goes over the border")
         return replace(deformation, info={"tried": 2, "warnings": ["held"], "error_estimate": {"force_percent": 1.5}})
 
-    monkeypatch.setattr(pipeline, "press", solve)
+    monkeypatch.setattr(stages, "press", solve)
     assert cli.main(["press", "--out", "a"]) == cli.OK
     first = json.loads((tmp_path / "a/report.json").read_text())
     assert first["warnings"] == ["goes over the border", "held"] and first["error_estimate"] == {"force_percent": 1.5}
-    monkeypatch.setattr(pipeline, "press", lambda *_, **__: pytest.fail("solved again"))
+    monkeypatch.setattr(stages, "press", lambda *_, **__: pytest.fail("solved again"))
     assert cli.main(["press", "--out", "a", "--resume"]) == cli.OK
     again = json.loads((tmp_path / "a/report.json").read_text())
     assert again["choices"].pop("press") == "taken from the folder (--resume)"
@@ -200,7 +202,7 @@ def test_resume_tells_of_the_press_what_was_told_when_it_was_solved(
 def test_resume_knows_a_mesh_file_by_what_is_in_it(
     deformation: Deformation, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
+    monkeypatch.setattr(stages, "press", lambda *_, **__: deformation)
     flags = ["press", "--shape", "mesh", "--mesh", str(tmp_path / "part.stl"), "--out", "a"]
     trimesh.creation.box((4e-3, 4e-3, 3e-3)).export(tmp_path / "part.stl")
     assert cli.main(flags) == cli.OK and cli.main([*flags, "--resume"]) == cli.OK
@@ -213,10 +215,10 @@ def test_resume_knows_a_mesh_file_by_what_is_in_it(
 def test_resume_with_other_light_leaves_no_picture_of_the_one_before_and_takes_none_away_before_it_has_others(
     deformation: Deformation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(pipeline, "press", lambda *_, **__: deformation)
-    monkeypatch.setattr(pipeline, "_choose_renderer", lambda scene, *_: (scene, None))
-    monkeypatch.setattr(pipeline, "_write_pictures", lambda folder, *_: folder.write("sheet.png", lambda path: path.write_text("new")))
-    monkeypatch.setattr(pipeline, "render", lambda *_, **__: [])
+    monkeypatch.setattr(stages, "press", lambda *_, **__: deformation)
+    monkeypatch.setattr(stages, "_choose_renderer", lambda scene, *_: (scene, None))
+    monkeypatch.setattr(stages, "_write_pictures", lambda folder, *_: folder.write("sheet.png", lambda path: path.write_text("new")))
+    monkeypatch.setattr(stages, "render", lambda *_, **__: [])
     assert cli.main(["render", "--out", "a"]) == cli.OK
     (tmp_path / "a/radiance").mkdir()
     (tmp_path / "a/sheet.png").write_text("old")
@@ -226,7 +228,7 @@ def test_resume_with_other_light_leaves_no_picture_of_the_one_before_and_takes_n
         raise KeyboardInterrupt
 
     with monkeypatch.context() as cut:
-        cut.setattr(pipeline, "render", interrupted)
+        cut.setattr(stages, "render", interrupted)
         assert cli.main(["render", "--out", "a", "--spp", "7", "--resume"]) == cli.INTERRUPTED
     assert (tmp_path / "a/scene.toml").read_text() == before and (tmp_path / "a/sheet.png").read_text() == "old"
     assert cli.main(["press", "--out", "a", "--spp", "7", "--resume"]) == cli.OK  # the mechanics alone: they are the same
@@ -272,7 +274,7 @@ def test_what_cannot_be_done_is_said_in_one_line(
 def test_what_cannot_be_drawn_is_known_before_the_press(
     flags: list[str], expected: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(pipeline, "press", lambda *_, **__: pytest.fail("solved for nothing"))
+    monkeypatch.setattr(stages, "press", lambda *_, **__: pytest.fail("solved for nothing"))
     monkeypatch.setattr(variant, "_has_nvidia", lambda: False)
     variant._choose.cache_clear()
     assert cli.main(["render", *flags]) == cli.BAD_INPUT

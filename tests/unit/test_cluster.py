@@ -13,7 +13,7 @@ from dataset_fixtures import TINY, contents, put_fields
 from gelsim.errors import SceneError
 from gelsim.generate.done import Done
 from gelsim.generate.run import generate
-from gelsim.workers import work_through
+from gelsim.work.workers import work_through
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own: sockets, deprecations
 
@@ -57,7 +57,7 @@ def test_a_cluster_makes_the_same_dataset(cluster: str, tmp_path: Path):
 
 @pytest.mark.slow
 def test_an_actor_that_dies_is_replaced_and_its_press_listed(cluster: str):
-    from gelsim.cluster import RayCrew
+    from gelsim.work.cluster import RayCrew
 
     def lost(handful: tuple[int, ...], status: str, message: str) -> Done:
         return Done(handful, failures=[{"status": status, "message": message}])

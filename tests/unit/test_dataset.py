@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim import dataset, materials
-from gelsim.dataset import Survey, episode_file, gel_facts, load_dataset, read_episode, survey, write_episode, write_meta, write_tar
-from gelsim.dataset_sheet import dataset_facts, draw_dataset
+from gelsim.data import episodes as dataset
+from gelsim.data.episodes import Survey, episode_file, gel_facts, load_dataset, read_episode, survey, write_episode, write_meta, write_tar
 from gelsim.errors import DatasetError
 from gelsim.results import Episode
-from gelsim.scene import Gel
+from gelsim.scene import materials
+from gelsim.scene.definition import Gel
+from gelsim.views.dataset_sheet import dataset_facts, draw_dataset
 from learn.config import InputConfig
 from learn.recordings import record_episode
 
@@ -91,7 +92,7 @@ def test_what_a_row_tells_of_a_gel() -> None:
     }
     by_modulus = gel_facts(Gel(youngs_modulus_kpa=materials.modulus_from_shore_00(40.0) / 1e3, modulus_scale=0.5))["shore_00"]
     assert by_modulus == pytest.approx(40.0, abs=1e-9)
-    assert gel_facts(Gel(shore_a=45.0))["shore_00"] == pytest.approx(86.7, abs=0.05)  # where the scales meet (gelsim/materials.py)
+    assert gel_facts(Gel(shore_a=45.0))["shore_00"] == pytest.approx(86.7, abs=0.05)  # where the scales meet (gelsim/scene/materials.py)
     assert gel_facts(Gel(youngs_modulus_kpa=1.0))["shore_00"] is None
 
 
@@ -325,7 +326,7 @@ def test_episodes_of_wrong_shapes_are_refused() -> None:
 
 
 def test_the_mini_dataset_is_whole() -> None:
-    from gelsim.scene_file import assets_folder
+    from gelsim.scene.layers import assets_folder
 
     folder = assets_folder() / "mini"
     assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) <= 8_000_000

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 from test_dataset import make
 
-from gelsim import cli
-from gelsim.dataset import load_dataset, survey, write_episode, write_meta
-from gelsim.dataset_sheet import contact_sheet, dataset_facts, hardness_by_shape
+from gelsim.cli import main as cli
+from gelsim.data.episodes import load_dataset, survey, write_episode, write_meta
+from gelsim.views.dataset_sheet import contact_sheet, dataset_facts, hardness_by_shape
 
 
 @pytest.fixture

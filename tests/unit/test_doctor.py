@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gelsim import doctor, optics
+from gelsim import optics
+from gelsim.cli import doctor
 from gelsim.errors import RenderError
 from gelsim.optics import variant
 

@@ -12,7 +12,6 @@ from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_
 from planar_fixtures import press_of
 
 import gelsim.fem
-from gelsim import pipeline
 from gelsim.bench.presses import ball
 from gelsim.errors import MeshingError, PressEnd, SolveError, SolveStatus
 from gelsim.fem import further, quasistatic  # pyright: ignore[reportPrivateUsage]
@@ -20,10 +19,11 @@ from gelsim.fem.batch import run_batch
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
-from gelsim.materials import gel_material, object_material
+from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene import Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene
+from gelsim.scene.materials import gel_material, object_material
 
 
 @pytest.fixture
@@ -304,7 +304,7 @@ STICKY = build_scene({
 
 def made_sticky(on_object: bool = False, held: float = 0.0) -> PressProblem:
     materials = gel_material(STICKY), object_material(STICKY)
-    return PressProblem(STICKY, *pipeline.bodies(STICKY), *materials, "cpu", on_object=on_object, contact_points=12, held=held)
+    return PressProblem(STICKY, *stages.bodies(STICKY), *materials, "cpu", on_object=on_object, contact_points=12, held=held)
 
 
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
@@ -363,7 +363,7 @@ def test_a_step_that_jumps_to_another_branch_is_told() -> None:
             "fidelity": "fast", "object": {"shape": "punch", "radius_mm": 3.0, "rigid": True},
             "press": {"depth_mm": 0.5, "force_n": "none", "frames": 6, "symmetry": "mirror"}, "contact": {"friction_coefficient": friction},
         })  # fmt: skip
-        press = run_press(PressProblem(scene, *pipeline.bodies(scene), gel_material(scene), object_material(scene), "cpu"))
+        press = run_press(PressProblem(scene, *stages.bodies(scene), gel_material(scene), object_material(scene), "cpu"))
         return [text for text in press.info.get("warnings", []) if "another branch" in text]  # type: ignore[attr-defined]
 
     (jumped,) = told(0.0)
@@ -411,24 +411,24 @@ def test_a_lost_press_gets_another_mesh(
     }
     asked: list[int] = []
 
-    def bodies(scene: Scene, symmetry: frozenset[str], record: pipeline.Record, draw: int) -> tuple[int, int, int]:
+    def bodies(scene: Scene, symmetry: frozenset[str], record: stages.Record, draw: int) -> tuple[int, int, int]:
         asked.append(draw)
         if ends[draw] == "no mesh":
             raise MeshingError("no mesh")
         record.meshes["object"] = {"elements": draw}
         return 0, 0, 0
 
-    monkeypatch.setattr(pipeline, "_bodies", bodies)
+    monkeypatch.setattr(stages, "_bodies", bodies)
     monkeypatch.setattr(gelsim.fem, "solve_press", lambda *_, **__: made[ends[len(asked) - 1]])
-    record, scene = pipeline.Record(), build_scene({"press": {"depth_mm": 0.5, "symmetry": "mirror"}})
+    record, scene = stages.Record(), build_scene({"press": {"depth_mm": 0.5, "symmetry": "mirror"}})
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
-    press = pipeline.press(scene, record=record, enough=enough)
+    press = stages.press(scene, record=record, enough=enough)
     assert press is made[kept] and asked == meshed
     assert record.meshes["object"]["elements"] == ends.index(kept)
     said = str(press.info.get("warnings"))
     assert ("drawn anew" in said) is (ends.index(kept) > 0) and ("could not be given another" in said) is ("no mesh" in ends)
     asked.clear()
-    pipeline.press(scene.replace(object=replace(scene.object, rigid=True)))
+    stages.press(scene.replace(object=replace(scene.object, rigid=True)))
     assert asked == [0]  # a rigid one has no tets
 
 
@@ -438,7 +438,7 @@ class _Asked(Exception):
 
 @pytest.mark.parametrize("target", [{}, {"target_error": 0.05}])
 def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline, "_bodies", lambda *_: (0, 0, 0))
+    monkeypatch.setattr(stages, "_bodies", lambda *_: (0, 0, 0))
 
     def solve_press(*_: object, enough: Callable[[Deformation], bool] | None, **__: object) -> None:
         raise _Asked(enough)
@@ -448,7 +448,7 @@ def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pyt
 
     monkeypatch.setattr(gelsim.fem, "solve_press", solve_press)
     with pytest.raises(_Asked) as asked:
-        pipeline.press(build_scene({"press": {"symmetry": "mirror"}} | target), enough=enough)
+        stages.press(build_scene({"press": {"symmetry": "mirror"}} | target), enough=enough)
     assert asked.value.args == (enough,)
 
 
@@ -490,6 +490,6 @@ def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     def mesh_object(*_: object, drawn_before: int) -> None:
         raise _Asked(drawn_before)
 
-    monkeypatch.setattr("gelsim.meshing.mesh_object", mesh_object)
+    monkeypatch.setattr("gelsim.mesh.body_mesh.mesh_object", mesh_object)
     with pytest.raises(_Asked, match="5"):
-        pipeline._bodies(build_scene({}), frozenset(), pipeline.Record(), 5)  # pyright: ignore[reportPrivateUsage]
+        stages._bodies(build_scene({}), frozenset(), stages.Record(), 5)  # pyright: ignore[reportPrivateUsage]

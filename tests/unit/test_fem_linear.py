@@ -15,7 +15,7 @@ from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, fin
 from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.reference import element_tangent
-from gelsim.materials import ElasticMaterial
+from gelsim.scene.materials import ElasticMaterial
 
 EPS = np.finfo(float).eps
 needs_mkl = pytest.mark.skipif(find_mkl() is None, reason="no MKL here")

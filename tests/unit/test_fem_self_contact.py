@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gelsim.fem.self_contact import closing_gap
-from gelsim.scene import Body
-from gelsim.shapes import object_surface
+from gelsim.scene.definition import Body
+from gelsim.shape.shapes import object_surface
 
 
 def squashed(body: Body, shares: list[float]) -> tuple[int, float] | None:

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelsim import fidelity, pipeline
+from gelsim.cli.flags import Parser, add_scene_flags, layer_of
 from gelsim.errors import SceneError, SolveError, SolveStatus
-from gelsim.fidelity import Target, press_to_target
-from gelsim.flags import Parser, add_scene_flags, layer_of
+from gelsim.pipeline import fidelity, stages
+from gelsim.pipeline.fidelity import Target, press_to_target
 from gelsim.results import Deformation
-from gelsim.scene import Body, Contact, Gel, Press, Scene
-from gelsim.scene_file import build_scene, scene_table
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
+from gelsim.scene.layers import build_scene, scene_table
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_what_is_said_is_parsed() -> None:
     with pytest.raises(SceneError, match=r"target_membrane_um = 0 µm: allowed is 0.01"):
         build_scene({"target_membrane_um": 0.0})
     with pytest.raises(SceneError, match="single press"):
-        pipeline.bodies(Scene(target_error=0.02))
+        stages.bodies(Scene(target_error=0.02))
 
 
 @pytest.mark.slow
@@ -123,8 +123,8 @@ def test_a_press_meets_its_target() -> None:
         press=Press(depth_mm=1.0, force_n=None, frames=3, symmetry="mirror"),
         target_error=0.02,
     )
-    record = pipeline.Record()
-    press = pipeline.press(scene, record=record)
+    record = stages.Record()
+    press = stages.press(scene, record=record)
     assert press.status is SolveStatus.CONVERGED and not record.warnings
     choice = record.choices["fidelity"]
     assert choice["chosen"] == "balanced" and [row["fidelity"] for row in choice["tried"]] == ["balanced"]
@@ -147,5 +147,5 @@ def test_a_press_meets_its_target() -> None:
 )
 def test_which_end_came_first_is_told_where_both_were_asked_for(press: dict[str, object], by: str, said: str) -> None:
     report = {"scene": scene_table(build_scene({"press": press})), "choices": {"ended_by": by}}
-    told = pipeline._why_ended(report)  # pyright: ignore[reportPrivateUsage]
+    told = stages._why_ended(report)  # pyright: ignore[reportPrivateUsage]
     assert said in told and bool(said) is bool(told)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from mesh_fixtures import assert_whole, scene
 
-from gelsim import gel_mesh
-from gelsim.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine, split
-from gelsim.contact_area import core, footprint
 from gelsim.errors import MeshingError
-from gelsim.gel_mesh import LONGER, mesh_gel
 from gelsim.geometry import TET_EDGES, TetMesh, jacobian_determinants, outer_faces, quadratic_tets, tet_quality, tet_volumes, volume
-from gelsim.rim_edges import LEAST, lay_edges
-from gelsim.scene import Body, Gel, Press, Scene
-from gelsim.shapes import gel_height, rotation
-from gelsim.sizing import SIZES, SizeField
+from gelsim.mesh import gel_mesh
+from gelsim.mesh.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine, split
+from gelsim.mesh.contact_area import core, footprint
+from gelsim.mesh.gel_mesh import LONGER, mesh_gel
+from gelsim.mesh.rim_edges import LEAST, lay_edges
+from gelsim.mesh.sizing import SIZES, SizeField
+from gelsim.scene.definition import Body, Gel, Press, Scene
+from gelsim.shape.shapes import gel_height, rotation
 
 WHOLE, QUARTER = frozenset[str](), frozenset("xy")
 

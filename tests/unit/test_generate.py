@@ -21,20 +21,20 @@ import pytest
 from dataset_fixtures import TINY, contents, formula_field, put_fields
 
 from gelsim import generate as generating
-from gelsim import workers
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
+from gelsim.data.lightfield import write_field
 from gelsim.errors import DatasetError, SceneError, SolveStatus
 from gelsim.generate import recording, run
 from gelsim.generate.done import Done
 from gelsim.generate.light import relit
+from gelsim.generate.plan import Catalogue, EpisodeDraw, load_plan
 from gelsim.generate.relight import relight, sensor_scene
 from gelsim.generate.run import Book, generate, make_worker, report_of
-from gelsim.lightfield import write_field
 from gelsim.optics import bake
-from gelsim.randomize import Catalogue, EpisodeDraw, load_plan
 from gelsim.results import Deformation
-from gelsim.scene_file import build_scene
-from gelsim.workers import LocalCrew, WorkError, work_through
+from gelsim.scene.layers import build_scene
+from gelsim.work import workers
+from gelsim.work.workers import LocalCrew, WorkError, work_through
 
 
 def drawn(**fields: Any) -> EpisodeDraw:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelsim.dataset import load_dataset
+from gelsim.data.episodes import load_dataset
 from gelsim.errors import SceneError
 from gelsim.generate.real import convert, find_press, labels_of_name
 

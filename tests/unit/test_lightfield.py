@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelsim import pipeline
-from gelsim.lightfield import LightField, read_field, write_field
+from gelsim.data.lightfield import LightField, read_field, write_field
 from gelsim.optics import bake
 from gelsim.optics.variant import SCALAR
-from gelsim.scene import Camera, Coating, Light, Lights, Render, Scene
+from gelsim.pipeline import stages
+from gelsim.scene.definition import Camera, Coating, Light, Lights, Render, Scene
 
 SLOPES = np.array([0.3, -0.2, 0.5, -0.4])
 """Of the linear table by x, y [1/mm], n_x, n_y."""
@@ -111,9 +111,9 @@ def test_auto_takes_a_field_that_is_measured_and_good_enough(tmp_path, monkeypat
     scene = scene.replace(render=replace(scene.render, mode="auto"))
 
     def record_of(scene: Scene) -> tuple[str, dict]:
-        record = pipeline.Record()
-        monkeypatch.setattr(pipeline, "membranes", lambda scene, deformation, record: [])
-        assert pipeline.render(scene, None, device="cpu", record=record) == []  # type: ignore[arg-type]
+        record = stages.Record()
+        monkeypatch.setattr(stages, "membranes", lambda scene, deformation, record: [])
+        assert stages.render(scene, None, device="cpu", record=record) == []  # type: ignore[arg-type]
         return record.choices["mode"]["chosen"], record.choices
 
     chosen, choices = record_of(scene)

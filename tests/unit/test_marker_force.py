@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelsim.errors import SceneError
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 from gelsim.study import marker_force
 from gelsim.study.marker_force import RINGS, Field, cells, marker_cost, marker_forces, marker_noise
 from gelsim.study.trial import Trial

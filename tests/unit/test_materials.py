@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from gelsim import materials
 from gelsim.errors import MaterialError
-from gelsim.scene import Body, Gel, LawConstants, Scene
+from gelsim.scene import materials
+from gelsim.scene.definition import Body, Gel, LawConstants, Scene
 
 # The same equations, computed apart from this code and rounded to the decimals shown, in kPa.
 HERTZ_00 = {8: 39.79, 10: 43.83, 17: 60.20, 20: 68.47, 30: 103.40, 50: 236.71, 70: 650.09, 87: 2698.46}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import RectBivariateSpline
 
-from gelsim.membrane import membrane_states, rest_membrane
+from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.results import Deformation, SurfaceMotion
-from gelsim.scene import Gel, Markers, Scene
-from gelsim.shapes import gel_height
+from gelsim.scene.definition import Gel, Markers, Scene
+from gelsim.shape.shapes import gel_height
 
 DEPTH, WIDTH = 0.6e-3, 1.2e-3
 """Of the synthetic dent [m]; its steepest slope is 0.6 DEPTH/WIDTH = 17 degrees."""

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from mesh_fixtures import QUIET, assert_whole, scene
 
-from gelsim import meshing
 from gelsim.errors import MeshingError, SceneError
 from gelsim.geometry import (
     TriMesh,
@@ -18,13 +17,14 @@ from gelsim.geometry import (
     region_volumes,
     volume,
 )
-from gelsim.inclusions import flesh
-from gelsim.materials import parts
-from gelsim.meshing import mesh_object, mesh_report
-from gelsim.scene import Body, Gel, Grains, Press, Scene, Skin
-from gelsim.shapes import object_surface, project, shape_symmetry, solid
-from gelsim.sizing import OBJECT_COARSER, OBJECT_COARSEST, SIZES, Footprint, SizeField, object_edge
-from gelsim.solids import patch_distances
+from gelsim.mesh import body_mesh
+from gelsim.mesh.body_mesh import mesh_object, mesh_report
+from gelsim.mesh.inclusions import flesh
+from gelsim.mesh.sizing import OBJECT_COARSER, OBJECT_COARSEST, SIZES, Footprint, SizeField, object_edge
+from gelsim.scene.definition import Body, Gel, Grains, Press, Scene, Skin
+from gelsim.scene.materials import parts
+from gelsim.shape.shapes import object_surface, project, shape_symmetry, solid
+from gelsim.shape.solids import patch_distances
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +56,7 @@ def wanted(monkeypatch: pytest.MonkeyPatch) -> Wanted:
             mesh_object(given, progress=QUIET)
         return asked.value.args[0]
 
-    monkeypatch.setattr(meshing, "_cached_fill", fill)
+    monkeypatch.setattr(body_mesh, "_cached_fill", fill)
     return of
 
 
@@ -309,5 +309,5 @@ def test_what_cannot_be_filled_says_so() -> None:
     field = SizeField((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), 1e-3, 0.5, 2e-3)
     sheet = TriMesh(np.array([[0, 0, 0], [5e-3, 0, 0], [0, 5e-3, 0]]), np.array([[0, 1, 2]]))
     with pytest.raises(MeshingError, match=r"filling the object \(sheet\).*try") as caught:
-        meshing._fill(sheet, None, field, 1.0, 0.15, "the object (sheet)")
+        body_mesh._fill(sheet, None, field, 1.0, 0.15, "the object (sheet)")
     assert "\n" not in str(caught.value)

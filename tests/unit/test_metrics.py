@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gelsim.metrics import picture_errors
+from gelsim.data.metrics import picture_errors
 
 
 def test_equal_pictures(rng):

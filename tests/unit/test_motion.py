@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gelsim.data.motion import STEP, Motion, pack, unpack
 from gelsim.errors import DatasetError
-from gelsim.motion import STEP, Motion, pack, unpack
 
 
 def dented(nodes: int = 4000, states: int = 13) -> Motion:
@@ -71,7 +71,7 @@ def test_damage_and_excess_are_one_clear_error(monkeypatch):
     for broken in (b"", content[: len(content) // 2], b"PK\x03\x04nothing"):
         with pytest.raises(DatasetError, match="damaged"):
             unpack(broken)
-    monkeypatch.setattr("gelsim.motion.LARGEST", 1000)
+    monkeypatch.setattr("gelsim.data.motion.LARGEST", 1000)
     with pytest.raises(DatasetError, match="3 states of 50 nodes"):
         unpack(content)
     far = dented(50, 3)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gelsim.errors import RenderError, SceneError
-from gelsim.markers import marker_layout
-from gelsim.membrane import GRID_SPACING, rest_membrane
+from gelsim.membrane.markers import marker_layout
+from gelsim.membrane.surface import GRID_SPACING, rest_membrane
 from gelsim.optics import VariantChoice, choose_variant, height_map, project, render_frames, variant
 from gelsim.optics.camera import marker_pixels, pixel_rays, window_transmission
 from gelsim.optics.coating import marker_coverage
@@ -18,8 +18,8 @@ from gelsim.optics.lighting import check_lights
 from gelsim.optics.render import Renderer
 from gelsim.optics.scene_dict import path_count, scene_dict
 from gelsim.results import Membrane
-from gelsim.scene import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
-from gelsim.scene_file import build_scene
+from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
+from gelsim.scene.layers import build_scene
 
 
 def small_scene() -> Scene:

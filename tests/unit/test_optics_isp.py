@@ -9,13 +9,13 @@ import pytest
 from test_baked import VARIANTS, dragged, flat_scene, ridge
 from test_lightfield import linear_field
 
-from gelsim.membrane import rest_membrane
+from gelsim.membrane.surface import rest_membrane
 from gelsim.optics import render_frames
 from gelsim.optics.arrays import choose_arrays
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.isp import Developer, as_picture, develop, packed_bytes
 from gelsim.optics.render import Renderer
-from gelsim.scene import Camera, Render, Scene
+from gelsim.scene.definition import Camera, Render, Scene
 
 NOISY = {"noise_sd": (2.0, 1.4, 2.5), "full_well": (9000.0, 7000.0, 8000.0), "read_noise": (0.002, 0.001, 0.003)}
 needs_llvm = pytest.mark.skipif(len(VARIANTS) == 1, reason="no vectorised variant here")

@@ -8,7 +8,7 @@ import pytest
 from gelsim.errors import SceneError
 from gelsim.optics.isp import develop, srgb_tone
 from gelsim.optics.shading import shading_basis, shading_gain
-from gelsim.scene import Camera, Render, Scene
+from gelsim.scene.definition import Camera, Render, Scene
 
 
 def test_terms_stand_in_the_documented_order():

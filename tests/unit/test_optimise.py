@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelsim import cli
+from gelsim.cli import main as cli
 from gelsim.errors import SceneError, SolveError
-from gelsim.scene_file import build_scene, load_scene
+from gelsim.scene.layers import build_scene, load_scene
 from gelsim.study.metrics import METRICS, Metric
 from gelsim.study.optimise import Goal, front, parse_bounds, parse_goal
 from gelsim.study.trial import Trial

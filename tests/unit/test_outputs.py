@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gelsim import outputs, sheet
 from gelsim.errors import SceneError
+from gelsim.pipeline import outputs, sheet
 from gelsim.results import Deformation, Frame, SurfaceMotion
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
 
 
 def test_press_reads_back_as_written(tmp_path: Path, deformation: Deformation) -> None:

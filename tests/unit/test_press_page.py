@@ -11,9 +11,11 @@ import meshio
 import numpy as np
 import pytest
 
-from gelsim import cli, outputs, press_page
+from gelsim.cli import main as cli
+from gelsim.pipeline import outputs
 from gelsim.results import Deformation, Frame
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
+from gelsim.views import press_page
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
 

@@ -10,9 +10,9 @@ import pytest
 from gelsim.errors import SceneError
 from gelsim.fem.planar.elements import planar_quadrature
 from gelsim.geometry import PlanarMesh
-from gelsim.profiles import gel_radius, mesh_profiles
-from gelsim.reductions import TURNED, choose_reduction
-from gelsim.scene import Body, Gel, Grains, Press, Scene
+from gelsim.mesh.profiles import gel_radius, mesh_profiles
+from gelsim.mesh.reductions import TURNED, choose_reduction
+from gelsim.scene.definition import Body, Gel, Grains, Press, Scene
 
 BODIES = [
     Body(shape="hemisphere"), Body(shape="hemisphere", radius_mm=50.0), Body(shape="cone"), Body(shape="punch", radius_mm=3.0),

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gelsim import materials
-from gelsim.distributions import check_fields, draw
 from gelsim.errors import SceneError
-from gelsim.randomize import Catalogue, load_plan
+from gelsim.generate.plan import Catalogue, load_plan
+from gelsim.scene import materials
+from gelsim.scene.distributions import check_fields, draw
 
 TINY = Path(__file__).parents[1] / "plan_tiny.toml"
 

@@ -12,10 +12,10 @@ from typing import Any, get_args, get_origin
 import pytest
 
 from gelsim.errors import MaterialError, SceneError
-from gelsim.fields import field_types
-from gelsim.limits import LIMITS
-from gelsim.scene import Body, Gel, LawConstants, Press, Scene
-from gelsim.scene_file import build_scene, dump_scene, load_scene, preset_names
+from gelsim.scene.definition import Body, Gel, LawConstants, Press, Scene
+from gelsim.scene.fields import field_types
+from gelsim.scene.layers import build_scene, dump_scene, load_scene, preset_names
+from gelsim.scene.limits import LIMITS
 
 
 def test_defaults_are_those_of_the_paper() -> None:

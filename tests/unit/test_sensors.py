@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from gelsim.cli import main
-from gelsim.membrane import rest_membrane
+from gelsim.cli.main import main
+from gelsim.membrane.surface import rest_membrane
 from gelsim.optics import render_frames
-from gelsim.scene import Light, Lights
-from gelsim.scene_file import build_scene, preset_names
-from gelsim.sensor_sheet import _draw_plan
+from gelsim.scene.definition import Light, Lights
+from gelsim.scene.layers import build_scene, preset_names
+from gelsim.views.sensor_sheet import _draw_plan
 
 SHIPPED = ("digit", "fingertip2017", "gelsight_mini")
 

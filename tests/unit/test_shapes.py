@@ -9,10 +9,9 @@ import trimesh
 
 from gelsim.errors import SceneError
 from gelsim.geometry import TriMesh, enclosed_volume, face_shape_functions, is_closed
-from gelsim.inclusions import flesh, grain_centres
-from gelsim.inspection import inspect
-from gelsim.scene import Body, Gel, Grains, Press, Scene, Skin
-from gelsim.shapes import (
+from gelsim.mesh.inclusions import flesh, grain_centres
+from gelsim.scene.definition import Body, Gel, Grains, Press, Scene, Skin
+from gelsim.shape.shapes import (
     gel_height,
     object_surface,
     placement,
@@ -23,7 +22,8 @@ from gelsim.shapes import (
     sharp_edges,
     solid,
 )
-from gelsim.solids import solid_surface
+from gelsim.shape.solids import solid_surface
+from gelsim.views.inspection import inspect
 
 PI = np.pi
 DOME_RADIUS = (12.5**2 + 1.4**2) / 2.8  # mm, of the default dome: 1.4 mm deep at 12.5 mm

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelsim import cli
+from gelsim.cli import main as cli
 from gelsim.errors import GelsimError, SceneError, SolveError
-from gelsim.ledger import Ledger
-from gelsim.scene_file import build_scene
+from gelsim.scene.layers import build_scene
 from gelsim.study import STUDIES, report, runner
 from gelsim.study.definition import Study, load_study
 from gelsim.study.discrimination import combine
@@ -20,6 +19,7 @@ from gelsim.study.metrics import METRICS, Metric
 from gelsim.study.photometric import integrate
 from gelsim.study.trial import Trial
 from gelsim.tables import write_csv
+from gelsim.work.ledger import Ledger
 
 OWN = """
 question = "Does a stiffer gel need more force?"

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from gelsim import workers
-from gelsim.workers import Died, Handful, LocalCrew, WorkError, work_through
+from gelsim.work import workers
+from gelsim.work.workers import Died, Handful, LocalCrew, WorkError, work_through
 
 NEVER = float("inf")
 Ends = tuple[str, float]

@@ -27,8 +27,8 @@ from gelsim.fem.problem import (
     isochoric_constants,
 )
 from gelsim.geometry import PlanarMesh
-from gelsim.materials import ElasticMaterial
-from gelsim.scene import Scene
+from gelsim.scene.definition import Scene
+from gelsim.scene.materials import ElasticMaterial
 
 if TYPE_CHECKING:
     from gelsim.fem.recording import Recorder

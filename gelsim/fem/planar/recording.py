@@ -19,8 +19,8 @@ from gelsim.fem.problem import KPA, MM
 from gelsim.fem.recording import Recorder, whole_surface
 from gelsim.geometry import PlanarMesh, QuadraticSurface, quadratic_faces
 from gelsim.results import SurfaceMotion
-from gelsim.shapes import gel_height
-from gelsim.solids import refine
+from gelsim.shape.shapes import gel_height
+from gelsim.shape.solids import refine
 
 Array = NDArray[np.float64]
 

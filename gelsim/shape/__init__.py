@@ -1,0 +1,1 @@
+"""What is pressed: parametric solids and mesh files, exact surfaces, symmetry, placement."""

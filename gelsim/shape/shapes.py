@@ -1,0 +1,528 @@
+"""What is pressed and what it is pressed into: exact shapes of objects and of the gel, their surfaces, symmetry and placement.
+
+An object is described in its own frame: the contact apex (its lowest point) at the origin, +z up to the base plane at z = height, which is
+fixed to the platen. A parametric shape is a solid of smooth patches (`gelsim.shape.solids`): a profile of lines and arcs, turned about z
+(hemisphere, cone, punch, frustum, shell, torus, tomato) or drawn along y (cylinder, edge, flat, box, tube, candy), with planes for its ends
+and its base; the corner is planes alone; wave, emboss and rough are blocks with a sum of cosines for an underside. A `mesh` shape keeps its
+own flat facets. What lies inside an object, skin and grains, is in `gelsim.mesh.inclusions`.
+
+Left out: fillets on the sharp rims (a real cast has 0.1 mm or so).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+
+from gelsim.errors import SceneError
+from gelsim.geometry import AXES, FACE_EDGES, QuadraticSurface, TriMesh, edges_of, face_shape_functions, quadratic_faces
+from gelsim.scene.definition import Body, Gel, Scene
+from gelsim.shape.mesh_file import read_surface
+from gelsim.shape.solids import (
+    HULL_STEP,
+    Array,
+    HeightField,
+    Patch,
+    Plane,
+    Segment,
+    Sizes,
+    Solid,
+    Sweep,
+    membership,
+    mirrored,
+    project_polyhedron,
+    snap,
+    solid_surface,
+    swept,
+    zero_cuts,
+)
+from gelsim.units import DEG, MM
+
+TURNED = ("hemisphere", "cone", "punch", "frustum", "shell", "torus", "tomato")
+DRAWN = ("cylinder", "edge", "flat", "box", "tube", "candy")
+NOT_CONVEX = ("tube", "shell", "torus", "tomato")
+"""Of these the coarse surface is made from the profile."""
+RELIEFS = ("wave", "emboss", "rough")
+BUMPY = ("emboss", "rough")
+"""Curved both ways within a wave's length: coarser faces do not follow that."""
+FOOT = 0.6
+"""Half width of the foot above a tube or a tomato, over its radius."""
+SAMPLE_WIDTH = 25e-3
+"""Width of the caps cut from large balls and rods [m] (interfaces.md §2)."""
+_WIDTH_MM = {"box": 10.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
+_LENGTH_MM = {"box": 15.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
+"""Where 25 mm is not the default."""
+_ANGLE_DEG = {"edge": 90.0, "cone": 90.0, "frustum": 75.0}
+_FINE = 0.25e-3
+"""Edge length of a rigid surface in the contact [m]: its six-node faces lie within 20 nm of a ball of 5 mm (test_shapes.py)."""
+
+
+# ---------------------------------------------------------------------------------------------------------------- parameters
+def height(body: Body) -> float:
+    """From the apex to the base [m]; of a mesh its extent in z."""
+    return float(load_mesh(body).vertices[:, 2].max()) if body.shape == "mesh" else body.height_mm * MM
+
+
+def profile(body: Body) -> tuple[Segment, ...]:
+    """The profile from the axis to the base, as (r, z) or (x, z) segments [m]."""
+    h, r = body.height_mm * MM, body.radius_mm * MM
+    half = _width(body) / 2
+    if body.shape in ("hemisphere", "cylinder"):
+        wide = r if r <= h else min(SAMPLE_WIDTH / 2, np.sqrt(h * (2 * r - h)), r)
+        rise = r - np.sqrt(max(r**2 - wide**2, 0.0))
+        if rise > h * (1 - 1e-9):
+            wide, rise = np.sqrt(h * (2 * r - h)), h
+        return _with_foot(Segment((0.0, 0.0), (wide, rise), r), h)
+    if body.shape in ("cone", "edge"):
+        slope = 1.0 / np.tan(_angle(body) / 2)
+        wide = min(r if body.shape == "cone" else half, h / slope)
+        return _with_foot(Segment((0.0, 0.0), (wide, wide * slope)), h)
+    if body.shape in ("tube", "tomato"):
+        neck = (FOOT * r, r + r * np.sqrt(1.0 - FOOT**2))
+        return Segment((0.0, 0.0), neck, r), Segment(neck, (neck[0], h))
+    if body.shape == "shell":
+        return _with_foot(Segment((0.0, 0.0), (r, r), r), h)
+    if body.shape == "torus":
+        ring = wall(body) / 2
+        return (
+            Segment((0.0, ring), (r - ring, ring)),
+            Segment((r - ring, ring), (r + ring, ring), ring, (r, ring)),
+            Segment((r + ring, ring), (r + ring, h)),
+        )
+    if body.shape == "frustum":
+        top = r + h / np.tan(_angle(body))
+        return Segment((0.0, 0.0), (r, 0.0)), Segment((r, 0.0), (top, h))
+    half = r if body.shape == "punch" else half
+    return _with_foot(Segment((0.0, 0.0), (half, 0.0)), h)
+
+
+def _bore(body: Body) -> tuple[Segment, ...]:
+    """The profile of the hollow of a tube or a shell, from its top down; of others none."""
+    h, r = body.height_mm * MM, body.radius_mm * MM
+    inner = r - wall(body)
+    if body.shape == "tube":
+        return (Segment((0.0, r + inner), (0.0, r - inner), -inner, (0.0, r)),)
+    if body.shape == "shell":
+        return Segment((inner, h), (inner, r)), Segment((inner, r), (0.0, r - inner), -inner, (0.0, r))
+    return ()
+
+
+def wall(body: Body) -> float:
+    """Of tube and shell; the thickness of a torus' ring [m]."""
+    return (body.wall_mm or (0.5 if body.shape == "torus" else 0.2) * body.radius_mm) * MM
+
+
+def fine_feature(body: Body) -> float:
+    """The shortest wave of an uneven underside, or the thickness of a torus' ring [m], which both meshes follow; infinite without one."""
+    if body.shape == "torus":
+        return wall(body)
+    return body.wavelength_mm * MM if body.shape in RELIEFS and body.amplitude_mm else np.inf
+
+
+def _with_foot(tip: Segment, h: float) -> tuple[Segment, ...]:
+    wide, rise = tip.end
+    return (tip,) if rise > h * (1 - 1e-9) else (tip, Segment(tip.end, (wide, h)))
+
+
+def sides(body: Body) -> tuple[float, float]:
+    """Half of what a block or a drawn shape measures along x and y [m]."""
+    return _width(body) / 2, _length(body) / 2
+
+
+def _width(body: Body) -> float:
+    """Along x [m]."""
+    return (body.width_mm or _WIDTH_MM.get(body.shape, 25.0)) * MM
+
+
+def _length(body: Body) -> float:
+    """Along y, of drawn shapes [m]."""
+    return (body.length_mm or _LENGTH_MM.get(body.shape, 25.0)) * MM
+
+
+def _angle(body: Body) -> float:
+    angle = body.angle_deg or _ANGLE_DEG[body.shape]
+    if body.shape == "frustum" and not 45.0 <= angle <= 90.0:
+        raise SceneError(f"object.angle_deg = {angle:g}°: allowed for a frustum is 45 … 90°, between its flank and its base")
+    return angle * DEG
+
+
+# ---------------------------------------------------------------------------------------------------------------- solids
+def shape_symmetry(body: Body) -> frozenset[str]:
+    """Mirror planes of the object in its own frame: "x" is the plane x = 0."""
+    if body.shape in ("mesh", "rough") or (body.grains.count and not body.rigid):
+        return frozenset()
+    return frozenset("x") if body.shape == "corner" else frozenset("xy")
+
+
+def press_symmetry(scene: Scene) -> frozenset[str]:
+    """Mirror planes that object, gel and motion share, so that half or a quarter of both bodies is enough.
+
+    press.symmetry = "none" forbids it. Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers
+    do not count: they carry no forces.
+    """
+    press = scene.press
+    if press.symmetry == "none" or press.twist_deg:
+        return frozenset()
+    keeps = {"x": not (press.tilt_deg[1] or press.offset_mm[0] or press.shear_mm[0])}
+    keeps["y"] = not (press.tilt_deg[0] or press.offset_mm[1] or press.shear_mm[1])
+    return frozenset(axis for axis in shape_symmetry(scene.object) if keeps[axis])
+
+
+@lru_cache(maxsize=64)
+def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL_STEP) -> Solid:
+    """The exact shape, cut at the planes of `symmetry`, of which its positive side stays; `step` [rad] between a turned hull's corners."""
+    assert body.shape != "mesh" and symmetry <= shape_symmetry(body)
+    if body.shape in RELIEFS:
+        return _relief(body, symmetry)
+    h = body.height_mm * MM
+    patches: list[Patch] = []
+    faces = None
+    if body.shape == "corner":
+        half = _width(body) / 2
+        for azimuth in np.array([90.0, 210.0, 330.0]) * DEG:
+            patches.append(Plane((np.sqrt(2 / 3) * np.cos(azimuth), np.sqrt(2 / 3) * np.sin(azimuth), -np.sqrt(1 / 3)), 0.0))
+        patches += [Plane(n, half) for n in ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))]
+        if "x" in symmetry:
+            del patches[3]
+        hull = None
+    else:
+        segments = profile(body)
+        patches += runs(segments, body.shape in TURNED)
+        if body.shape in NOT_CONVEX:
+            bore = _bore(body)
+            patches += runs(bore, body.shape in TURNED) if bore else []
+            hull, faces = coarse_surface(segments, bore, body, symmetry, step)
+        else:
+            hull = hull_points(segments, body, symmetry, step)
+        if body.shape in DRAWN:
+            patches.append(Plane((0.0, 1.0, 0.0), _length(body) / 2))
+            if "y" not in symmetry:
+                patches.append(Plane((0.0, -1.0, 0.0), _length(body) / 2))
+    roles = ["contact"] * len(patches)
+    patches.append(Plane((0.0, 0.0, 1.0), h))
+    roles.append("base")
+    for axis in sorted(symmetry):
+        patches.append(Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0))
+        roles.append(axis)
+    return Solid(tuple(patches), tuple(roles), _polyhedron(patches) if hull is None else hull, faces)
+
+
+def coarse_surface(
+    segments: tuple[Segment, ...], bore: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float
+) -> tuple[Array, np.ndarray]:
+    """Vertices and faces of a shape that is not convex, from its profile and that of its hollow."""
+    line = _polyline(segments)
+    if bore:
+        hollow = _polyline(bore)
+        top = [[0.0, line[-1, 1]]] if hollow[0, 1] < line[-1, 1] else []
+        outline = np.vstack([line, *top, hollow])
+    else:
+        outline = np.vstack([line, [0.0, line[-1, 1]]])
+    vertices, faces = swept(outline, body.shape in TURNED, _length(body) / 2, step)
+    for axis in sorted({"x", "y"} - symmetry):
+        vertices, faces = mirrored(vertices, faces, axis)
+    return vertices, faces
+
+
+def _polyline(segments: tuple[Segment, ...]) -> Array:
+    return np.vstack([segments[0].samples()] + [s.samples()[1:] for s in segments[1:]])
+
+
+def _relief(body: Body, symmetry: frozenset[str]) -> Solid:
+    """A block with an uneven underside, its lowest point at z = 0."""
+    high = np.array([_width(body), _length(body)]) / 2
+    low = np.where([axis in symmetry for axis in "xy"], 0.0, -high)
+    field = _underside(body)
+    counts = np.maximum(4, np.ceil((high - low) / (body.wavelength_mm * MM / 8)).astype(int))
+    x, y = (np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True))
+    flat = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    number = np.arange(len(flat)).reshape(len(x), len(y))
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])  # counter-clockwise from above
+    top = len(flat) + np.arange(len(rim))
+    following, above = np.roll(rim, -1), np.roll(top, -1)
+    centre = np.full(len(rim), len(flat) + len(rim))
+    h = body.height_mm * MM
+    vertices = np.vstack([
+        np.column_stack([flat, field.heights(flat)[0]]), np.insert(flat[rim], 2, h, axis=1), [[*(low + high) / 2, h]],
+    ])  # fmt: skip
+    faces = [(a, c, b), (a, d, c), (rim, following, above), (rim, above, top), (centre, top, above)]
+    planes = [Plane((1.0, 0.0, 0.0), high[0]), Plane((0.0, 1.0, 0.0), high[1])]
+    planes += [Plane((-1.0, 0.0, 0.0), -low[0]), Plane((0.0, -1.0, 0.0), -low[1]), Plane((0.0, 0.0, 1.0), h)]
+    roles = ("contact", "contact", "contact", *(axis if axis in symmetry else "contact" for axis in "xy"), "base")
+    return Solid((field, *planes), roles, vertices, np.vstack([np.stack(three, axis=1) for three in faces]).astype(np.int32))
+
+
+@lru_cache(maxsize=16)
+def _underside(body: Body) -> HeightField:
+    """wave: (A/2)(1 - cos kx). emboss: A (1 - (1 + cos kx)(1 + cos ky)/4), dots in a square grid, one at the apex. rough: 64 waves of one
+    size, of random direction and phase, their wave numbers spread evenly over the areas of rings between a quarter and the whole of k."""
+    size, k = body.amplitude_mm * MM, 2 * np.pi / (body.wavelength_mm * MM)
+    if body.shape == "wave":
+        return HeightField(size / 2, ((k, 0.0, 0.0, -size / 2),))
+    if body.shape == "emboss":
+        quarter = -size / 4
+        across = ((k, 0.0, 0.0, quarter), (0.0, k, 0.0, quarter), (k, k, 0.0, quarter / 2), (k, -k, 0.0, quarter / 2))
+        return HeightField(0.75 * size, across)
+    rng, count = np.random.default_rng(body.pattern_seed), 64
+    numbers = k * np.sqrt((1 / 16) + (15 / 16) * (np.arange(count) + 0.5) / count)
+    direction, phase = rng.uniform(0, np.pi, count), rng.uniform(0, 2 * np.pi, count)
+    each = size * np.sqrt(2.0 / count)
+    field = HeightField(0.0, tuple((n * np.cos(d), n * np.sin(d), p, each) for n, d, p in zip(numbers, direction, phase, strict=True)))
+    lines = [
+        np.linspace(-half, half, 1 + int(np.ceil(40 * half / (body.wavelength_mm * MM)))) for half in (_width(body) / 2, _length(body) / 2)
+    ]
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    # from the lowest of 20 points a wavelength straight down the slope: a few steps of 1/curvature bring a nanometre's rest to nothing
+    low = grid[field.heights(grid)[0].argmin()][None]
+    for _ in range(50):
+        low = np.clip(
+            low - field.heights(low)[1] / (4 * k**2 * max(size, 1e-9)), [-lines[0][-1], -lines[1][-1]], [lines[0][-1], lines[1][-1]]
+        )
+    return HeightField(-float(field.heights(low)[0][0]), field.waves)
+
+
+def runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
+    """Cuts a profile at its creases."""
+    runs = [[segments[0]]]
+    for before, after in zip(segments[:-1], segments[1:], strict=True):
+        if before.tangents()[1] @ after.tangents()[0] > 1 - 1e-9:
+            runs[-1].append(after)
+        else:
+            runs.append([after])
+    return [Sweep(tuple(run), turned) for run in runs]
+
+
+def hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float) -> Array:
+    """Corners of a coarse polyhedron; no three on a line, so that the hull keeps each of them."""
+    line = _polyline(segments)
+    low, h = line[0, 1], line[-1, 1]
+    pointed = line[1, 1] > low
+    if body.shape not in TURNED:
+        right = line if pointed or "x" in symmetry else line[1:]
+        left = np.array([[0.0, h]]) if "x" in symmetry else (line[1:] * [-1.0, 1.0])
+        flat = np.vstack([right, left])
+        ends = [0.0 if "y" in symmetry else -_length(body) / 2, _length(body) / 2]
+        return np.vstack([np.insert(flat, 1, y, axis=1) for y in ends])
+    begin = {0: -np.pi, 1: -np.pi / 2 if "x" in symmetry else 0.0, 2: 0.0}[len(symmetry)]
+    end = {0: np.pi, 1: np.pi / 2 if "x" in symmetry else np.pi, 2: np.pi / 2}[len(symmetry)]
+    azimuth = np.linspace(begin, end, 1 + round((end - begin) / step))
+    azimuth = azimuth[:-1] if not symmetry else azimuth
+    circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    circle[np.abs(circle) < 1e-12] = 0.0
+    rings = [np.hstack([r * circle, np.full((len(circle), 1), z)]) for r, z in line[1:]]
+    axis = [[0.0, 0.0, low]] if pointed or len(symmetry) == 2 else []
+    axis += [[0.0, 0.0, h]] if len(symmetry) == 2 else []
+    return np.vstack([*rings, np.array(axis).reshape(-1, 3)])
+
+
+def _polyhedron(planes: list[Patch]) -> Array:
+    """Corners of the convex body below all the planes."""
+    normals = np.array([p.normal for p in planes if isinstance(p, Plane)])
+    offsets = np.array([p.offset for p in planes if isinstance(p, Plane)])
+    corners = []
+    for three in combinations(range(len(normals)), 3):
+        a = normals[list(three)]
+        if abs(np.linalg.det(a)) > 1e-9:
+            p = np.linalg.solve(a, offsets[list(three)])
+            if (normals @ p <= offsets + 1e-12).all():
+                corners.append(p)
+    found = np.array(corners)
+    found[np.abs(found) < 1e-15] = 0.0  # so that corners on a cut plane are exactly on it
+    _, first = np.unique(np.round(found, 10), axis=0, return_index=True)
+    return found[np.sort(first)]
+
+
+# ---------------------------------------------------------------------------------------------------------------- surfaces
+def load_mesh(body: Body) -> TriMesh:
+    """The surface of shape = "mesh", lowest point at the origin [m]; raises SceneError for a file that is no solid."""
+    if not body.mesh:
+        raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
+    return read_surface(body.mesh, body.mesh_unit)[0]
+
+
+def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-5, symmetry: frozenset[str] = frozenset()) -> TriMesh:
+    """A watertight, outward surface of the object in its own frame.
+
+    Args:
+        edge_length: Longest edge allowed [m], a number or a function of points (N, 3). A `mesh` shape keeps its facets.
+        chord: Largest distance allowed between an edge and the exact shape [m].
+        symmetry: Mirror planes of the shape; only the positive side is returned, closed by the planes.
+    Raises:
+        SceneError: The shape fields make no solid, or the mesh file is no watertight solid.
+    """
+    if body.shape == "mesh":
+        assert not symmetry
+        return load_mesh(body)
+    vertices, faces, _ = solid_surface(solid(body, symmetry), edge_length, chord)
+    return TriMesh(vertices, faces)
+
+
+def sharp_edges(body: Body, least_deg: float = 30.0) -> Array:
+    """Sharp convex edges of the object as straight pieces, (K, 2, 3) [m], within 10 µm of a curved one; those of its base are left out.
+
+    An edge is sharp where the surface turns by more than `least_deg`.
+    """
+    surface = object_surface(body, edge_length=np.inf, chord=np.inf if body.shape == "mesh" else 1e-5)
+    edges, index = edges_of(surface.faces, FACE_EDGES)
+    corners = surface.vertices[surface.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    order = np.argsort(index.ravel(), kind="stable")  # a closed surface: two faces an edge
+    one, two = (np.arange(len(surface.faces)).repeat(3)[order].reshape(-1, 2)).T
+    sharp = (normal[one] * normal[two]).sum(axis=1) < np.cos(least_deg * DEG)
+    convex = ((corners[two].mean(axis=1) - corners[one].mean(axis=1)) * normal[one]).sum(axis=1) < 0.0
+    top = surface.vertices[:, 2].max() * (1 - 1e-6)
+    low = (surface.vertices[edges][:, :, 2] < top).any(axis=1)
+    return surface.vertices[edges[sharp & convex & low]]
+
+
+def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:
+    """Six-node faces of a rigid object in its own frame, mid-side nodes on the exact shape; the base and the cut planes are left out.
+
+    Edges are 0.25 mm up to 1.5 times the depth of the press, and grow by half a millimetre per millimetre above that and by a tenth beyond
+    4 mm from the axis. A `mesh` shape keeps its facets.
+    """
+    body = scene.object
+    if body.shape == "mesh":
+        surface = load_mesh(body)
+        return quadratic_faces(surface.vertices, surface.faces)
+    return _exact_surface(body, press_depth(scene), symmetry)
+
+
+@lru_cache(maxsize=2)
+def _exact_surface(body: Body, depth: float, symmetry: frozenset[str]) -> QuadraticSurface:
+    """`rigid_surface` of other shapes, for a press of a depth [m]: a press needs it for both meshes."""
+    shape = solid(body, symmetry)
+
+    def sizes(points: Array) -> Array:
+        above, aside = points[:, 2] - 1.5 * depth, np.hypot(points[:, 0], points[:, 1]) - 4.0 * MM
+        return _FINE + 0.5 * np.maximum(above, 0.0) + 0.1 * np.maximum(aside, 0.0)
+
+    vertices, faces, patch = solid_surface(shape, sizes, np.inf)
+    contact = np.array([role == "contact" for role in shape.roles])[patch]
+    faces, patch = faces[contact], patch[contact]
+    used, faces = np.unique(faces, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    vertices = vertices[used]
+    surface = quadratic_faces(vertices, faces.astype(np.int32))
+    member = membership(surface.faces[:, 3:], patch, len(surface.nodes), len(shape.patches))[len(vertices) :]
+    # Edges on a cut plane lie on it too: their two ends do.
+    ends, _ = edges_of(faces.astype(np.int32), FACE_EDGES)
+    for column, role in enumerate(shape.roles):
+        if role in AXES:
+            member[:, column] = (vertices[ends][:, :, AXES[role]] == 0.0).all(axis=1)
+    middle = snap(shape.patches, surface.nodes[len(vertices) :], member)
+    zero_cuts(shape, middle, member)
+    return QuadraticSurface(np.vstack([vertices, middle]), surface.faces)
+
+
+def project(body: Body, points: Array) -> Array:
+    """Closest points (N, 3) on the exact surface of the object; a `mesh` shape returns the points as they are."""
+    if body.shape == "mesh":
+        return points.copy()
+    assert not _bore(body) and body.shape not in RELIEFS, "of these only the patches are known"
+    if body.shape == "corner":
+        return project_polyhedron(solid(body), points)
+    h = body.height_mm * MM
+    segments = profile(body)
+    boundary = Sweep((*segments, Segment(segments[-1].end, (0.0, h))), body.shape in TURNED)
+    if body.shape in TURNED:
+        return boundary.project(points)
+    half = _length(body) / 2
+    side = boundary.project(points)
+    side[:, 1] = np.clip(side[:, 1], -half, half)
+    across, flat, normal = boundary._closest(points)
+    inside = ((np.stack([across, points[:, 2]], 1) - flat) * normal).sum(axis=1) <= 0.0
+    end = np.where(inside[:, None], points, side)
+    end[:, 1] = np.where(points[:, 1] < 0.0, -half, half)
+    nearer = ((end - points) ** 2).sum(axis=1) < ((side - points) ** 2).sum(axis=1)
+    return np.where(nearer[:, None], end, side)
+
+
+# ---------------------------------------------------------------------------------------------------------------- gel and placement
+def press_depth(scene: Scene) -> float:
+    """The approach that meshes are made for [m]: the press depth, or 1 mm when only a force is given."""
+    return (1.0 if scene.press.depth_mm is None else scene.press.depth_mm) * MM
+
+
+def gel_height(gel: Gel, xy: Array) -> Array:
+    """z [m] of the undeformed outer face at points (N, 2) [m].
+
+    Flat: 0. Dome: a spherical cap with its top at the origin that leaves `edge_thickness_mm` at the middle of each side of a square gel (of
+    a rectangle: of its short sides, which are farther from the centre). The corners of a square lie deeper on the sphere than the
+    middles of its sides, for the default dome even below the window: there the gel keeps a land of half the edge thickness.
+    """
+    if gel.profile == "flat" or gel.edge_thickness_mm == gel.thickness_mm:
+        return np.zeros(len(xy))
+    half = max(gel.size_mm) * MM / 2
+    drop = (gel.thickness_mm - gel.edge_thickness_mm) * MM
+    radius = (half**2 + drop**2) / (2 * drop)
+    across = (xy**2).sum(axis=1)
+    sphere = np.sqrt(np.maximum(radius**2 - across, 0.0)) - radius
+    return np.maximum(sphere, (0.5 * gel.edge_thickness_mm - gel.thickness_mm) * MM)
+
+
+def rotation(scene: Scene) -> Array:
+    """The object's tilt, (3, 3): about x, then about y."""
+    a, b = np.array(scene.press.tilt_deg) * DEG
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    return about_y @ about_x
+
+
+def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
+    """Where the object just touches the undeformed gel: positions = R p + t, R (3, 3), t (3,) [m].
+
+    R is the tilt about the apex, t the offset and the height at which the smallest gap between the object's six-node faces and the gel's
+    outer face is 0 (to 0.01 µm; sought between the nodes too). Only what lies over the gel counts.
+
+    Raises:
+        SceneError: No part of the object lies over the gel.
+    """
+    turn = rotation(scene)
+    shift = np.array([*scene.press.offset_mm, 0.0]) * MM
+    nodes = surface.nodes @ turn.T + shift
+    half = np.array(scene.gel.size_mm) * MM / 2 * (1 + 1e-9)
+
+    def gap(points: Array) -> Array:
+        over = (np.abs(points[..., :2]) <= half).all(axis=-1)
+        flat = points.reshape(-1, 3)
+        return np.where(over, (flat[:, 2] - gel_height(scene.gel, flat[:, :2])).reshape(over.shape), np.inf)
+
+    at_nodes = gap(nodes)[surface.faces]
+    low = at_nodes.min(axis=1)
+    best = low.min()
+    if not np.isfinite(best):
+        raise SceneError(
+            f"press.offset_mm = [{scene.press.offset_mm[0]:g}, {scene.press.offset_mm[1]:g}] mm puts the object beside the gel; "
+            f"allowed: some of it over the {scene.gel.size_mm[0]:g} x {scene.gel.size_mm[1]:g} mm gel"
+        )
+    # Between its nodes a quadratic face can dip below the lowest of them by at most the spread of its nodes; look where it could matter.
+    over = np.isfinite(low)
+    at_nodes, low, faces = at_nodes[over], low[over], surface.faces[over]
+    spread = np.where(np.isfinite(at_nodes), at_nodes, low[:, None]).max(axis=1) - low
+    near = np.flatnonzero(low - spread <= best)
+    faces = faces[near[np.argsort(low[near])[:2000]]]
+    width, centre = 1.0, np.full((len(faces), 2), 1.0 / 3.0)
+    steps = np.linspace(-1.0, 1.0, 7)
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    for _ in range(12):  # each pass halves the window around the best point: it ends 2^-12 of a face away, where the gap is flat
+        trial = np.clip(centre[:, None, :] + width * offsets, 0.0, 1.0)
+        total = trial.sum(axis=-1, keepdims=True)
+        trial = np.where(total > 1.0, trial / np.maximum(total, 1e-300), trial)
+        weights = face_shape_functions(np.concatenate([1.0 - trial.sum(-1, keepdims=True), trial], axis=-1).reshape(-1, 3))
+        points = np.einsum("fqn,fni->fqi", weights.reshape(len(faces), -1, 6), nodes[faces])
+        found = gap(points)
+        at = found.argmin(axis=1)
+        centre = trial[np.arange(len(faces)), at]
+        width *= 0.5
+        lowest = found.min(axis=1)
+        best = min(best, float(lowest.min()))
+        stay = lowest <= best + 1e-6  # a face a micrometre above the best after a look on a 7 x 7 grid is not the one
+        if stay.any() and not stay.all():
+            faces, centre = faces[stay], centre[stay]
+    shift[2] = -best
+    return turn, shift
