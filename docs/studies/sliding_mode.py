@@ -86,7 +86,7 @@ def shares(newton: Newton, mode: Array, whole: Array, plain: Array) -> tuple[flo
     touching = np.flatnonzero(contact.pressure.numpy() > 0.0)
     unit = np.eye(3)
     # relative motion of every point in contact, axis by axis
-    face, xi, normal = contact.face.numpy()[touching], contact.xi.numpy()[touching], contact.normal.numpy()[touching]
+    face, xi, normal = contact.face.numpy()[touching], contact.place.numpy()[touching, :2], contact.normal.numpy()[touching]
     move = np.column_stack(
         [
             contact._relative_motion(touching, np.tile(axis, (len(touching), 1)), face, xi, solids.equation, solids.unknowns) @ mode

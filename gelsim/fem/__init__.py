@@ -1,5 +1,5 @@
-"""Contact finite elements: gel and object, solved together. `solve_press`, `solve_batch` and `differentiate_press` are the doors; the rest
-is behind them."""
+"""Contact finite elements: gel and object, solved together. `rigid_placement`, `solve_press`, `solve_batch` and `differentiate_press` are
+the doors; the rest is behind them."""
 
 from __future__ import annotations
 
@@ -78,6 +78,14 @@ def quiet_warp() -> None:
             os.close(kept)
             said.seek(0)
             os.write(2, b"".join(line for line in said if b"Could not find or load the NVIDIA CUDA driver" not in line))
+
+
+def rigid_placement(scene: Scene, surface: QuadraticSurface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where a rigid object, its edges rounded, first touches the gel (`field.placement`)."""
+    quiet_warp()
+    from gelsim.fem.field import placement
+
+    return placement(scene, surface)
 
 
 def solve_press(

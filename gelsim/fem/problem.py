@@ -1,7 +1,7 @@
 """A scene made ready for Newton: one numbering for both bodies, their supports, materials and contact, in solver units.
 
-The gel is bonded to its window, the object's base to its platen; a node on a mirror plane stays on it. Of a rigid object every node is
-driven.
+The gel is bonded to its window, the object's base to its platen; a node on a mirror plane stays on it. A rigid object has four nodes, which
+are driven (contact.RigidContact).
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.fem.assembly import Solids
-from gelsim.fem.contact import ContactLaw, SurfaceContact
+from gelsim.fem.contact import ContactLaw, RigidContact, SurfaceContact, body_shares
 from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.field import distance_field
 from gelsim.fem.newton import Newton, NewtonOptions
 from gelsim.fem.pattern import split_pressures
 from gelsim.fem.viscoelastic import Memory, prony_arrays
@@ -65,9 +66,9 @@ class PressProblem:
         gel_rest = gel.rest_positions * MM
         n = len(gel_rest)
         if isinstance(body, TetMesh):
-            nodes, object_faces = body.rest_positions, body.groups["contact"]
+            nodes = body.rest_positions
         else:
-            nodes, object_faces = body.nodes, body.faces
+            nodes = np.vstack([np.zeros(3), np.eye(3)]) * RigidContact.SIDE / MM
         object_rest = (nodes @ np.asarray(rotation).T + np.asarray(translation)) * MM
         rest = np.concatenate([gel_rest, object_rest])
         self.object_nodes = np.arange(n, len(rest))
@@ -121,9 +122,14 @@ class PressProblem:
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM[scene.fidelity], friction, STICK_PER_MODULUS * softest)
         self.on_object = on_object
-        pair = gel.groups["coated"], (object_faces + n).astype(np.int32)
-        slave, master = reversed(pair) if on_object else pair
-        self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
+        coated = gel.groups["coated"]
+        if isinstance(body, TetMesh):
+            pair = coated, (body.groups["contact"] + n).astype(np.int32)
+            slave, master = reversed(pair) if on_object else pair
+            self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
+        else:
+            field = distance_field(scene)
+            self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, contact_points, gel.symmetry)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity], patient=patient)
         self.copies = 2 ** len(gel.symmetry)
 
@@ -142,6 +148,16 @@ class PressProblem:
         from gelsim.fem.recording import Recorder  # which knows this module
 
         return Recorder(self)
+
+    def object_surface(self, displacement: Array) -> tuple[QuadraticSurface, Array]:
+        """The object's outer faces in place at rest [m], and how they move (S, G, 3) where all nodes move by (S, N, 3)."""
+        body = self.body
+        if isinstance(body, TetMesh):
+            used, faces = np.unique(body.groups["contact"]), body.surface("contact").faces
+            nodes = self.object_nodes[used]
+            return QuadraticSurface(self.solids.rest[nodes] / MM, faces), displacement[:, nodes]
+        shares = body_shares(body.nodes * MM / RigidContact.SIDE)[:, :4]
+        return QuadraticSurface(shares @ self.solids.rest[self.driven] / MM, body.faces), shares @ displacement[:, self.driven]
 
     def reset(self) -> None:
         """Back to rest, with nothing remembered of contact."""

@@ -36,7 +36,8 @@ from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import MM, PressProblem
 from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
-from gelsim.scene.definition import Press, Scene
+from gelsim.scene.definition import Press
+from gelsim.shape.shapes import furthest_approach
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -160,11 +161,6 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation
-
-
-def _depth_limit(scene: Scene) -> float:
-    """How far [m] a press may go when only a force ends it: half of the gel plus a third of a soft object's height."""
-    return (0.5 * scene.gel.thickness_mm + (0.0 if scene.object.rigid else scene.object.height_mm / 3)) / MM
 
 
 @dataclass(frozen=True)
@@ -430,7 +426,7 @@ class _Search(_March):
 
     def __init__(self, problem: PressProblem) -> None:
         scene = problem.scene
-        limit = _depth_limit(scene)
+        limit = furthest_approach(scene)
         press = Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
         super().__init__(problem, press, limit)
         self.trail: list[_State] = []

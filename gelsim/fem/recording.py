@@ -22,7 +22,7 @@ from gelsim.fem.indicator import (
 from gelsim.fem.problem import KPA, MM, PressProblem
 from gelsim.fem.self_contact import closing_gap
 from gelsim.fem.touching import touching_area
-from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
+from gelsim.geometry import QuadraticSurface, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
 from gelsim.scene.definition import Gel
 from gelsim.shape.shapes import gel_height
@@ -126,17 +126,12 @@ class Recorder:
     def _surfaces(self, everything: Array) -> tuple[SurfaceMotion, SurfaceMotion, Array]:
         """Motion of the gel's outer face and of the object's, and the pressure at the gel's nodes, all of the whole body."""
         problem = self.problem
-        gel, body = problem.gel, problem.body
+        gel = problem.gel
         coated = np.unique(gel.groups["coated"])
         pressure = np.array(self._pressure)[:, coated]
         gel_motion, pressure = whole_surface(gel.surface("coated"), everything[:, coated], pressure, gel.symmetry)
-        if isinstance(body, TetMesh):
-            used, local = np.unique(body.groups["contact"]), body.surface("contact")
-        else:
-            used, local = np.arange(len(body.nodes)), body
-        nodes = problem.object_nodes[used]
-        placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
-        object_motion, _ = whole_surface(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
+        placed, moved = problem.object_surface(everything)
+        object_motion, _ = whole_surface(placed, moved, np.zeros(moved.shape[:2]), gel.symmetry)
         return gel_motion, object_motion, pressure
 
 
@@ -188,7 +183,7 @@ def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
     gel_faces, bary = problem.gel.groups["coated"], triangle_quadrature(contact.points)[0]
     if problem.on_object:
         touching = np.flatnonzero(pressure > 0)
-        xi = contact.xi.numpy()[touching]
+        xi = contact.place.numpy()[touching, :2]
         face = np.asarray(contact.face.numpy(), np.int32)[touching]
         nodes = contact.master_faces[face]
         # a point may lie a little beside the face that it keeps

@@ -224,6 +224,7 @@ def _bodies(
 ) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
     """Meshes of gel and object (the draw-th one of it), of a rigid one its surface, and the object's placement at first touch."""
     with record.stage("import"):
+        from gelsim.fem import rigid_placement
         from gelsim.mesh import body_mesh, gel_mesh
         from gelsim.shape import shapes
     with record.stage("mesh"):
@@ -239,7 +240,10 @@ def _bodies(
             record.meshes["object"] = body_mesh.mesh_report(body, materials.parts(scene.object))
         gel = gel_mesh.mesh_gel(scene, symmetry)
         record.meshes["gel"] = body_mesh.mesh_report(gel)
-        placement = shapes.placement(scene, surface)
+        if scene.object.rigid:
+            placement = rigid_placement(scene, surface)
+        else:
+            placement = shapes.placement(scene, surface)
         return gel, body, placement
 
 

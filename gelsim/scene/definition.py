@@ -139,6 +139,9 @@ class Body:
     """A watertight STL, OBJ or PLY file (shape = "mesh"), its lowest point the contact apex."""
     mesh_unit: str = "mm"
     """"mm" | "cm" | "m" | "in"."""
+    edge_radius_mm: float | None = None
+    """Radius of a rigid object's rims and edges (0.1 by default, a quarter of its smallest feature at most, 0 for a punch). 0: as sharp as
+    can be resolved, 0.04."""
     rigid: bool = False
     """True: the object does not deform; no finite elements for it, only its surface."""
     shore_00: float | None = None

@@ -49,6 +49,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "object.length_mm": (0.5, 100),
     "object.angle_deg": (10, 170),
     "object.wall_mm": (0.2, 50),
+    "object.edge_radius_mm": (0, 5),
     "object.amplitude_mm": (0, 5),
     "object.wavelength_mm": (0.5, 50),
     "object.pattern_seed": (0, 2**32 - 1),

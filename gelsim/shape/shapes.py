@@ -49,6 +49,8 @@ BUMPY = ("emboss", "rough")
 """Curved both ways within a wave's length: coarser faces do not follow that."""
 FOOT = 0.6
 """Half width of the foot above a tube or a tomato, over its radius."""
+EDGE_RADIUS = 0.1e-3
+"""Of machined and moulded parts that say nothing else [m]: edges of undefined shape are broken by 0.1 to 0.3 mm (ISO 13715)."""
 SAMPLE_WIDTH = 25e-3
 """Width of the caps cut from large balls and rods [m] (interfaces.md §2)."""
 _WIDTH_MM = {"box": 10.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
@@ -112,6 +114,17 @@ def _bore(body: Body) -> tuple[Segment, ...]:
 def wall(body: Body) -> float:
     """Of tube and shell; the thickness of a torus' ring [m]."""
     return (body.wall_mm or (0.5 if body.shape == "torus" else 0.2) * body.radius_mm) * MM
+
+
+def edge_radius(body: Body) -> float:
+    """Of the rims and edges [m]: `edge_radius_mm`, or EDGE_RADIUS and a quarter of the smallest feature at most; of a punch 0."""
+    if body.edge_radius_mm is not None:
+        return body.edge_radius_mm * MM
+    if body.shape == "punch":
+        return 0.0
+    features = [sides(body)[0] * 2, sides(body)[1] * 2] if body.shape != "mesh" and body.shape not in TURNED else []
+    features += [wall(body)] if body.shape in ("torus", "shell", "tube") else []
+    return min([EDGE_RADIUS, *(feature / 4 for feature in features)])
 
 
 def fine_feature(body: Body) -> float:
@@ -442,10 +455,39 @@ def project(body: Body, points: Array) -> Array:
     return np.where(nearer[:, None], end, side)
 
 
+def has_profile(body: Body) -> bool:
+    """Whether the object is a profile that is turned or drawn, whose distance is known in closed form (`signed_distance`)."""
+    return body.shape in (*TURNED, *DRAWN)
+
+
+def signed_distance(body: Body, points: Array) -> Array:
+    """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside; a hollow within counts as filled."""
+    h = body.height_mm * MM
+    segments = profile(body)
+    segments = (*segments, Segment(segments[-1].end, (0.0, h)))
+    across = np.hypot(points[:, 0], points[:, 1]) if body.shape in TURNED else np.abs(points[:, 0])
+    flat = np.stack([across, points[:, 2]], axis=1)
+    away = np.min([np.linalg.norm(segment.project(flat)[0] - flat, axis=1) for segment in segments], axis=0)
+    inside = sum(segment.crossings(flat) for segment in segments) % 2 == 1
+    distance = np.where(inside, -away, away)
+    if body.shape in TURNED:
+        return distance
+    end = np.abs(points[:, 1]) - _length(body) / 2
+    outside = np.hypot(np.maximum(distance, 0.0), np.maximum(end, 0.0))
+    return np.where((distance <= 0.0) & (end <= 0.0), np.maximum(distance, end), outside)
+
+
 # ---------------------------------------------------------------------------------------------------------------- gel and placement
 def press_depth(scene: Scene) -> float:
     """The approach that meshes are made for [m]: the press depth, or 1 mm when only a force is given."""
     return (1.0 if scene.press.depth_mm is None else scene.press.depth_mm) * MM
+
+
+def furthest_approach(scene: Scene) -> float:
+    """How far a press may go [m]: its depth, or where only a force ends it half of the gel plus a third of a soft object's height."""
+    if scene.press.depth_mm is not None:
+        return scene.press.depth_mm * MM
+    return (0.5 * scene.gel.thickness_mm + (0.0 if scene.object.rigid else scene.object.height_mm / 3)) * MM
 
 
 def gel_height(gel: Gel, xy: Array) -> Array:
