@@ -35,7 +35,7 @@ from gelsim.optics.camera import gel_ray, make_lens, pixel_size
 from gelsim.optics.coating import TEXEL, grain_pattern, marker_coverage
 from gelsim.optics.isp import Pipeline, as_picture, camera_pipeline, frame_keys
 from gelsim.optics.lighting import light_pose
-from gelsim.optics.variant import VariantChoice, use_variant
+from gelsim.optics.variant import VariantChoice
 from gelsim.results import Membrane
 from gelsim.scene.definition import Scene
 
@@ -71,9 +71,7 @@ class BakedRenderer:
         self._scene, self._field = scene, light_field
         self._like = like
         self._shadows, self._indirect = shadows, indirect
-        if not variant.name.startswith("scalar"):
-            use_variant(variant)
-        self._arrays: Arrays = choose_arrays(variant.name)
+        self._arrays: Arrays = choose_arrays(variant)
         self._tables: dict[str, Any] = {}
         self._layout: Layout | None = None
         self._draw: Any = None

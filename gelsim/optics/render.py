@@ -99,7 +99,7 @@ class Renderer:
         else:
             self._scalar = None
             self._tracer = Tracer(mi, scene, scene.render.spp)
-            self._arrays = choose_arrays(variant.name)
+            self._arrays = choose_arrays(variant)
             self._developer = Developer(scene, self._arrays)
 
     def radiance(self, membrane: Membrane, seed: int | None = None) -> NDArray[np.float32]:
