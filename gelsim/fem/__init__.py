@@ -125,11 +125,10 @@ def solve_press(
     way, course = next(tries)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
-        problem.course = course
         if name != "cpu" and problem.memory is None and solves_on_gpu():
-            press = run_batch([problem], states=progress)[0]
+            press = run_batch([problem], courses=[course], states=progress)[0]
         else:
-            press = run_press(problem, progress=progress, throw=False)
+            press = run_press(problem, course=course, progress=progress, throw=False)
         try:
             way, course = tries.send(press)
         except StopIteration as end:
@@ -306,15 +305,15 @@ def solve_batch(
         left, asked = len(asked), {}
         for several in groups.values():
             problems, start = [], time.perf_counter()
-            for number, (way, course) in several.items():
+            for number, (way, _) in several.items():
                 scene, gel, body, placement = bodies[number]
                 problems.append(_problem(way, scene, gel, body, placement, device))
-                problems[-1].course = course
             if costs is not None:
                 costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
+            courses = [course for _, course in several.values()]
             told = None if progress is None else partial(_told, progress, len(bodies) - left, len(bodies))
             left -= len(several)
-            for number, press in zip(several, run_batch(problems, progress=told, costs=costs), strict=True):
+            for number, press in zip(several, run_batch(problems, courses=courses, progress=told, costs=costs), strict=True):
                 try:
                     asked[number] = tries[number].send(press)
                 except StopIteration as end:
@@ -373,8 +372,9 @@ def solve_planar(
     """
     quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
+    from gelsim.fem.planar.recording import PlanarRecorder
     from gelsim.fem.quasistatic import run_press
     from gelsim.scene.materials import gel_material, object_materials
 
     problem = PlanarProblem(scene, gel, body, gel_material(scene), object_materials(scene).get("body"), depth_mm)
-    return run_press(problem, progress=progress, throw=throw)
+    return run_press(problem, record=PlanarRecorder, progress=progress, throw=throw)

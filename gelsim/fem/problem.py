@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,6 @@ from gelsim.fem.viscoelastic import Memory, prony_arrays
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.scene.definition import Scene
 from gelsim.scene.materials import OGDEN_TERMS, ElasticMaterial
-
-if TYPE_CHECKING:
-    from gelsim.fem.quasistatic import Course
-    from gelsim.fem.recording import Recorder
 
 Array = NDArray[np.float64]
 MM = 1e3  # solver lengths are millimetres
@@ -53,8 +48,6 @@ class PressProblem:
 
     on_object = False
     most_wasted = MOST_WASTED
-    course: Course | None = None
-    """Of a press with several tries: what this one goes on from, and what it leaves."""
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
@@ -142,12 +135,6 @@ class PressProblem:
     def linear_solver(self) -> str:
         """Name of what solves its equations, for the report."""
         return self.newton.system.direct.name
-
-    def record(self) -> Recorder:
-        """What keeps its states."""
-        from gelsim.fem.recording import Recorder  # which knows this module
-
-        return Recorder(self)
 
     def object_surface(self, displacement: Array) -> tuple[QuadraticSurface, Array]:
         """The object's outer faces in place at rest [m], and how they move (S, G, 3) where all nodes move by (S, N, 3)."""

@@ -34,6 +34,7 @@ from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import MM, PressProblem
+from gelsim.fem.recording import Recorder
 from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
 from gelsim.scene.definition import Press
@@ -41,6 +42,7 @@ from gelsim.shape.shapes import furthest_approach
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+Record = Callable[[PressProblem], Recorder]
 
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
@@ -82,13 +84,19 @@ class Course:
     """Whether that was found by going on from another search, so that all are to begin again."""
 
 
-def run_press(problem: PressProblem, *, progress: Progress | None = None, throw: bool = True) -> Deformation:
+def run_press(
+    problem: PressProblem, *, course: Course | None = None, record: Record = Recorder, progress: Progress | None = None, throw: bool = True
+) -> Deformation:
     """Solves a press. `progress(done, total)` is called after each recorded state, and on the search for the approach of a force.
+
+    Args:
+        course: Of a press with several tries: what this one goes on from, and what it leaves.
+        record: Makes what keeps the problem's states.
 
     Raises:
         SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
-    marching = march_press(problem, progress)
+    marching = march_press(problem, course or Course(), record, progress)
     with single_threaded_blas():
         try:
             request = next(marching)
@@ -101,17 +109,19 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
     return deformation
 
 
-def march_press(problem: PressProblem, progress: Progress | None = None) -> Generator[Request, NewtonReport, Deformation]:
+def march_press(
+    problem: PressProblem, course: Course, record: Record = Recorder, progress: Progress | None = None
+) -> Generator[Request, NewtonReport, Deformation]:
     """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all.
 
     A search for a force that is lost is all there is where another try goes on from it, or it from another; where such a one was not, the
     states are left to be recorded from rest.
     """
-    press, course = problem.scene.press, problem.course or Course()
+    press = problem.scene.press
     before, march = course.before, None
     found = course.found if press.depth_mm is None else (press.depth_mm / MM, PressEnd.DEPTH, "")
     if found is None:
-        search = _Search(problem)
+        search = _Search(problem, record)
 
         def share(*_: int) -> None:
             """The part of the force that is reached, in states; recording then counts them anew."""
@@ -128,13 +138,13 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
             course.found, course.searched = found, True
             return search.deformation(found[1], "")
         straight = not any(press.shear_mm) and not press.twist_deg
-        if straight and problem.memory is None and (yield from search.record(found[0], press.frames, progress)):
+        if straight and problem.memory is None and (yield from search.record_way(found[0], press.frames, progress)):
             march = search
     depth, end, beyond = found
     if march is None:
         spacing = depth / (press.frames - 1)
         for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
-            march = _March(problem, press, depth)
+            march = _March(problem, press, depth, record)
             yield from march.run(spacing, press.frames, progress, longest, before)
             if march.status is SolveStatus.CONVERGED or before is not None:
                 break
@@ -180,9 +190,9 @@ class _State:
 class _March:
     """One press, state after state."""
 
-    def __init__(self, problem: PressProblem, press: Press, depth: float) -> None:
-        self.problem, self.press, self.depth = problem, press, depth
-        self.recorder, self.energy = problem.record(), EnergyBalance(problem)
+    def __init__(self, problem: PressProblem, press: Press, depth: float, record: Record) -> None:
+        self.problem, self.press, self.depth, self.record = problem, press, depth, record
+        self.recorder, self.energy = record(problem), EnergyBalance(problem)
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
         self.here: _State
@@ -424,11 +434,11 @@ class _March:
 class _Search(_March):
     """Looks for the approach at which the force that ends a press is reached, straight down, and remembers the way there."""
 
-    def __init__(self, problem: PressProblem) -> None:
+    def __init__(self, problem: PressProblem, record: Record) -> None:
         scene = problem.scene
         limit = furthest_approach(scene)
         press = Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
-        super().__init__(problem, press, limit)
+        super().__init__(problem, press, limit, record)
         self.trail: list[_State] = []
 
     def _arrive(self, state: _State, force: float) -> None:
@@ -447,9 +457,9 @@ class _Search(_March):
             return self.approach, PressEnd.LOST, f" with {self.normal_force:.3g} N; further on {self.status.value}"
         return self.depth, PressEnd.LIMIT, ""
 
-    def record(self, depth: float, states: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
+    def record_way(self, depth: float, states: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
         """Records equally spaced states to `depth` [m], each a step from the one before it on the way; whether all were found."""
-        self.recorder = self.problem.record()
+        self.recorder = self.record(self.problem)
         places = np.array([state.approach for state in self.trail])
         for number in range(states):
             target = depth * number / (states - 1)

@@ -311,7 +311,6 @@ def made_sticky(on_object: bool = False, held: float = 0.0) -> PressProblem:
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
     """A press that is lost in `first` from an approach on, and what it becomes as `second` goes on."""
     course = quasistatic.Course()
-    first.course = second.course = course
     solve = first.newton.solve
 
     def lost(reach: float, tolerance: float | None = None, solving: bool = True) -> NewtonReport:
@@ -320,9 +319,9 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
         return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
 
     first.newton.solve = lost  # type: ignore[method-assign]
-    begun = run_press(first, throw=False)
+    begun = run_press(first, course=course, throw=False)
     assert begun.lost and course.before is not None
-    whole = run_batch([second])[0] if batched else run_press(second)
+    whole = run_batch([second], courses=[course])[0] if batched else run_press(second, course=course)
     assert whole.status is SolveStatus.CONVERGED and whole.approach == pytest.approx(np.arange(5) * 0.2 * MM)
     return begun, whole
 

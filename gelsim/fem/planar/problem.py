@@ -6,7 +6,6 @@ Of a body of revolution one radian is solved, in plane strain a millimetre of de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +28,6 @@ from gelsim.fem.problem import (
 from gelsim.geometry import PlanarMesh
 from gelsim.scene.definition import Scene
 from gelsim.scene.materials import ElasticMaterial
-
-if TYPE_CHECKING:
-    from gelsim.fem.recording import Recorder
 
 Array = NDArray[np.float64]
 
@@ -90,11 +86,6 @@ class PlanarProblem(PressProblem):
         edges = (body.groups["contact"] + n).astype(np.int32)
         self.contact = EdgeContact(gel.groups["coated"], edges, rest, self.law, self.turned, contact_points)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
-
-    def record(self) -> Recorder:
-        from gelsim.fem.planar.recording import PlanarRecorder  # which knows this module
-
-        return PlanarRecorder(self)
 
     def _across_planes(self, force: Array) -> Array:
         """Newton [N] of the whole body: across the axis, or the plane x = 0, forces cancel."""
