@@ -25,12 +25,11 @@ from gelsim.fem.touching import touching_area
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
 from gelsim.scene.definition import Gel
+from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.shapes import gel_height
 from gelsim.units import KPA_PER_PA, MM_PER_M
 
 Array = NDArray[np.float64]
-HOLLOW = ("tube", "shell", "mesh")
-"""Shapes whose surface may come to touch itself; the others are convex, or open wide."""
 
 
 class Recorder:
@@ -79,7 +78,7 @@ class Recorder:
         of_force = force_error(jump, overlap, approach, self._per_jump(min(self._numbers["min_jacobian"])))
         # of the last state kept: after a failure the solids hold that one again
         kink = self._kink(everything[-1])
-        hollow = problem.object_material is not None and problem.scene.object.shape in HOLLOW
+        hollow = problem.object_material is not None and SHAPES[problem.scene.object.shape].hollow
         told = [*(_self_contact(object_motion) if hollow else []), *_beyond_border(problem.scene.gel, object_motion)]
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
