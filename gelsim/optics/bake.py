@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.data import lightfield
 from gelsim.data.lightfield import PACKET, LightField, read_field, write_field
 from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
@@ -131,7 +132,7 @@ def field_key(scene: Scene) -> str:
     ]
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     folder = Path(__file__).parent
-    for source in sorted([*folder.glob("*.py"), folder.parent / "lightfield.py"]):
+    for source in sorted([*folder.glob("*.py"), Path(lightfield.__file__)]):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:32]
 
