@@ -41,7 +41,7 @@ def gel_radius(scene: Scene) -> float:
 
 
 def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | None = None) -> tuple[PlanarMesh, PlanarMesh]:
-    """The gel's and the object's profile, as they just touch; groups as of `meshing`'s solids. A rigid object has edges only.
+    """The gel's and the object's profile, as they just touch; groups as of the solids. A rigid object has edges only.
 
     Args:
         finer: Edges of a solid's mesh of this fidelity over these; `FINER` when left out.
