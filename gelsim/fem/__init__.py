@@ -193,7 +193,7 @@ def _slides(body: Body, symmetry: frozenset[str]) -> bool:
 
 def _uneven(body: Body) -> bool:
     """Whether an object has waves of its own, or is a ring: its small faces bend more than the gel's."""
-    from gelsim.shape.shapes import fine_feature
+    from gelsim.shape.outlines import fine_feature
 
     return fine_feature(body) < np.inf
 

@@ -106,9 +106,9 @@ def run_batch(
     Raises:
         ValueError: The meshes differ.
     """
-    batch = _Batch(problems, costs)
+    batch = _Batch(problems, costs, courses)
     with single_threaded_blas():
-        return batch.run(list(courses) or [Course() for _ in problems], progress, states)
+        return batch.run(progress, states)
 
 
 @dataclass
@@ -132,8 +132,8 @@ class _Residual:
 class _Batch:
     """The scenes' common arrays, and where each scene's Newton stands."""
 
-    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None) -> None:
-        self.costs = costs
+    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None, courses: Sequence[Course] = ()) -> None:
+        self.costs, self.courses = costs, courses or [Course() for _ in problems]
         first = problems[0]
         for problem in problems:
             same = (problem.solids.tets, first.solids.tets), (problem.solids.free, first.solids.free)
@@ -183,12 +183,10 @@ class _Batch:
         self.moved = np.zeros(self.count, bool)
         """Who had a matrix of which only the CPU's factors were of use."""
 
-    def run(
-        self, courses: list[Course], progress: Callable[[int, int], None] | None, states: Callable[[int, int], None] | None
-    ) -> list[Deformation]:
+    def run(self, progress: Callable[[int, int], None] | None, states: Callable[[int, int], None] | None) -> list[Deformation]:
         """Drives all marches to their ends."""
         told = [states, *[None] * (self.count - 1)]
-        marches = [march_press(*each, progress=one) for *each, one in zip(self.problems, courses, told, strict=True)]
+        marches = [march_press(*each, progress=one) for *each, one in zip(self.problems, self.courses, told, strict=True)]
         done: list[Deformation | None] = [None] * self.count
         for scene, march in enumerate(marches):
             self._take(scene, next(march))

@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from gelsim.geometry import QuadraticSurface
 from gelsim.scene.definition import Body, Scene
-from gelsim.shape import shapes
+from gelsim.shape import outlines, shapes
+from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
 Distance = Callable[[Array], Array]
 
-MM_PER_M = 1e3
 ROUNDING = 0.75
 """Radius of a right convex edge over the grid's spacing (tests/unit/test_fem_field.py measures it)."""
 COARSE = 4
@@ -295,10 +295,10 @@ def _field(body: Body, low: tuple[float, ...], high: tuple[float, ...]) -> Dista
 
 def spacing(body: Body) -> float:
     """Of the grid that gives edges their radius and follows what is round [mm]."""
-    finest = max(shapes.edge_radius(body) * MM_PER_M, SHARPEST_MM) / ROUNDING
-    round_parts = [shapes.fine_feature(body) * MM_PER_M / 2]
+    finest = max(outlines.edge_radius(body) * MM_PER_M, SHARPEST_MM) / ROUNDING
+    round_parts = [outlines.fine_feature(body) * MM_PER_M / 2]
     if shapes.has_profile(body):
-        round_parts += [abs(segment.radius) * MM_PER_M for segment in shapes.profile(body) if segment.radius]
+        round_parts += [abs(segment.radius) * MM_PER_M for segment in outlines.profile(body) if segment.radius]
     return min(finest, *(part / PER_RADIUS for part in round_parts))
 
 

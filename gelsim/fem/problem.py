@@ -22,10 +22,9 @@ from gelsim.fem.viscoelastic import Memory, prony_arrays
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.scene.definition import Scene
 from gelsim.scene.materials import OGDEN_TERMS, ElasticMaterial
+from gelsim.units import KPA_PER_PA, MM_PER_M
 
 Array = NDArray[np.float64]
-MM = 1e3  # solver lengths are millimetres
-KPA = 1e-3
 MILLINEWTON = 1e-3  # N per solver force unit
 
 # k·h of the contact penalty over E of the softest body, and its smoothing: 100 makes the pressure ripple, 10 costs augmentations.
@@ -56,13 +55,13 @@ class PressProblem:
                  most_wasted: int = MOST_WASTED, patient: bool = True) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
-        gel_rest = gel.rest_positions * MM
+        gel_rest = gel.rest_positions * MM_PER_M
         n = len(gel_rest)
         if isinstance(body, TetMesh):
             nodes = body.rest_positions
         else:
-            nodes = np.vstack([np.zeros(3), np.eye(3)]) * RigidContact.SIDE / MM
-        object_rest = (nodes @ np.asarray(rotation).T + np.asarray(translation)) * MM
+            nodes = np.vstack([np.zeros(3), np.eye(3)]) * RigidContact.SIDE / MM_PER_M
+        object_rest = (nodes @ np.asarray(rotation).T + np.asarray(translation)) * MM_PER_M
         rest = np.concatenate([gel_rest, object_rest])
         self.object_nodes = np.arange(n, len(rest))
         fixed = np.zeros((len(rest), 3), bool)
@@ -86,7 +85,7 @@ class PressProblem:
         for mesh, several, shift in meshes:
             data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), tet_points)
             law = np.array([isochoric_constants(material, ogden) for material in several])[mesh.regions]
-            kappa = np.array([material.kappa * KPA for material in several])[mesh.regions]
+            kappa = np.array([material.kappa * KPA_PER_PA for material in several])[mesh.regions]
             parts.append((mesh.tets + shift, data, law, kappa))
             of_tets += [several[region] for region in mesh.regions]
         data = parts[0][1]
@@ -102,11 +101,11 @@ class PressProblem:
         rest, fixed = np.concatenate([rest, rest[copies]]), np.concatenate([fixed, fixed[copies]])
         self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
-        self.shear = np.array([material.mu * KPA for material in of_tets])
+        self.shear = np.array([material.mu * KPA_PER_PA for material in of_tets])
         self.held, self.most_wasted = held, most_wasted
         if held > 0.0:
             self.solids.hold_volume(np.minimum(held * self.shear, 0.5 * kappa))
-        softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA
+        softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA_PER_PA
         self.memory: Memory | None = None
         if any(material.prony for _, several, _ in meshes for material in several):
             self.memory = self.solids.remember(*prony_arrays([material.prony for material in of_tets]))
@@ -142,9 +141,9 @@ class PressProblem:
         if isinstance(body, TetMesh):
             used, faces = np.unique(body.groups["contact"]), body.surface("contact").faces
             nodes = self.object_nodes[used]
-            return QuadraticSurface(self.solids.rest[nodes] / MM, faces), displacement[:, nodes]
-        shares = body_shares(body.nodes * MM / RigidContact.SIDE)[:, :4]
-        return QuadraticSurface(shares @ self.solids.rest[self.driven] / MM, body.faces), shares @ displacement[:, self.driven]
+            return QuadraticSurface(self.solids.rest[nodes] / MM_PER_M, faces), displacement[:, nodes]
+        shares = body_shares(body.nodes * MM_PER_M / RigidContact.SIDE)[:, :4]
+        return QuadraticSurface(shares @ self.solids.rest[self.driven] / MM_PER_M, body.faces), shares @ displacement[:, self.driven]
 
     def reset(self) -> None:
         """Back to rest, with nothing remembered of contact."""
@@ -184,6 +183,6 @@ def isochoric_constants(material: ElasticMaterial, ogden: bool = False) -> Array
         assert material.law != "yeoh", "a cubic has no Ogden form"
         alpha, weight = np.reshape(material.constants, (-1, 2)).T if material.law == "ogden" else ([2.0], [1.0])
         constants = np.tile([0.0, 2.0], OGDEN_TERMS)
-        constants[: 2 * len(alpha)] = np.column_stack([material.mu * KPA * np.asarray(weight), alpha]).ravel()
+        constants[: 2 * len(alpha)] = np.column_stack([material.mu * KPA_PER_PA * np.asarray(weight), alpha]).ravel()
         return constants
-    return material.mu / 2 * KPA * np.array([1.0, *(material.constants or (0.0, 0.0))])
+    return material.mu / 2 * KPA_PER_PA * np.array([1.0, *(material.constants or (0.0, 0.0))])

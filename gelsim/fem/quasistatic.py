@@ -33,12 +33,13 @@ from gelsim.fem.contact import LOOKED_MM, ContactState
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
-from gelsim.fem.problem import MM, PressProblem
+from gelsim.fem.problem import PressProblem
 from gelsim.fem.recording import Recorder
 from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
 from gelsim.scene.definition import Press
 from gelsim.shape.shapes import furthest_approach
+from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -119,7 +120,7 @@ def march_press(
     """
     press = problem.scene.press
     before, march = course.before, None
-    found = course.found if press.depth_mm is None else (press.depth_mm / MM, PressEnd.DEPTH, "")
+    found = course.found if press.depth_mm is None else (press.depth_mm / MM_PER_M, PressEnd.DEPTH, "")
     if found is None:
         search = _Search(problem, record)
 
@@ -162,12 +163,12 @@ def march_press(
     missing, jumped_at = march.energy.jump
     if missing > JUMPED:
         deformation.warn(
-            f"the step to {jumped_at * MM:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a sharp rim "
-            "that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
+            f"the step to {jumped_at * MM_PER_M:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a "
+            "sharp rim that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
         )
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         why = beyond or f" with {march.normal_force:.3g} N"
-        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{why}")
+        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM_PER_M:.3g} mm{why}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation
@@ -318,7 +319,7 @@ class _March:
         self._predict(here, new, extrapolated)
         if problem.memory is not None:
             problem.memory.begin(seconds or self._seconds(here, new))
-        reach = LOOKED_MM + 2 * (new - here.approach) * MM
+        reach = LOOKED_MM + 2 * (new - here.approach) * MM_PER_M
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)
         overlap = np.inf
@@ -349,7 +350,7 @@ class _March:
         if report.status is SolveStatus.CONVERGED:
             self.status = SolveStatus.INVERTED_ELEMENT if folds else SolveStatus.MAX_ITERATIONS
         self._wasted += report.iterations
-        self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
+        self.message = f"at approach {new * MM_PER_M:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
         if extrapolated and problem.held and report.status is not SolveStatus.CONVERGED:
             return (yield from self._attempt(here, new, seconds, again=True))
@@ -357,7 +358,7 @@ class _March:
 
     def _seconds(self, here: _State, new: float) -> float:
         """What the travel to approach `new` [m] takes."""
-        return (new - here.approach) * MM / self.press.speed_mm_s
+        return (new - here.approach) * MM_PER_M / self.press.speed_mm_s
 
     def _state(self, approach: float, seconds: float = 0.0) -> _State:
         """The present one, to return to."""
@@ -398,7 +399,7 @@ class _March:
         relative = self.problem.solids.rest[nodes] - np.array([*press.offset_mm, 0.0])
         cosine, sine = np.cos(angle), np.sin(angle)
         turned = np.stack([cosine * relative[:, 0] - sine * relative[:, 1], sine * relative[:, 0] + cosine * relative[:, 1]], 1)
-        travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM])
+        travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM_PER_M])
         return np.column_stack([turned - relative[:, :2], np.zeros(len(relative))]) + travel
 
     def _nearly_at_force(self) -> float:
@@ -426,7 +427,7 @@ class _March:
                 low = new, force
         else:
             return new, force
-        yield from self._return_to(beyond, LOOKED_MM + 2 * (high[0] - here.approach) * MM)
+        yield from self._return_to(beyond, LOOKED_MM + 2 * (high[0] - here.approach) * MM_PER_M)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
 
@@ -437,7 +438,7 @@ class _Search(_March):
     def __init__(self, problem: PressProblem, record: Record) -> None:
         scene = problem.scene
         limit = furthest_approach(scene)
-        press = Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
+        press = Press(depth_mm=limit * MM_PER_M, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
         super().__init__(problem, press, limit, record)
         self.trail: list[_State] = []
 

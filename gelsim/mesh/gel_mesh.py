@@ -38,7 +38,7 @@ from gelsim.shape.shapes import gel_height
 from gelsim.shape.solids import Array
 from gelsim.units import MM
 
-LONGER = 1.6
+LONGER_ACROSS = 1.6
 """Longest leg of a bisected face over the size field; the shortest is √2 shorter. At rims it is 1, but not at `fast`: a rigid box is off by
 12 µm there, with 3,429 unknowns; it would be by 4 µm with 5,363, and presses of many rims took twice as long."""
 FINE_DEPTH = 0.15
@@ -59,7 +59,7 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     """
     sizes, area = SIZES[scene.fidelity], footprint(scene)
     if scene.fidelity != "fast":
-        sizes = replace(sizes, rim=sizes.rim / LONGER)
+        sizes = replace(sizes, rim=sizes.rim / LONGER_ACROSS)
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
     rims = rims_on_gel(scene)
     fine = FINE_DEPTH * min(thickness, *area.high)
@@ -109,7 +109,7 @@ def _block(low: Array, high: Array, field: SizeField, stretch: float, pieces: Ar
         local = local.reshape(-1, 4)
         # Seen from above a tet of any of the three shapes has a face of legs l: l, not its height, is what a face of the top will have.
         across = np.diff(at[local][:, TET_EDGES, :2], axis=2)[:, :, 0]
-        return np.sqrt(0.5 * (across**2).sum(axis=2).max(axis=1)) > LONGER * narrow(at)[local].min(axis=1)
+        return np.sqrt(0.5 * (across**2).sum(axis=2).max(axis=1)) > LONGER_ACROSS * narrow(at)[local].min(axis=1)
 
     points, tets = refine(*kuhn_box(cells), too_large)
     return lay_edges(place(points), tets, pieces, squeeze)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,18 @@ def _overlaid(below: Layer, above: Layer) -> Layer:
         inner = table.get(name)
         table[name] = _overlaid(inner, value) if isinstance(value, dict) and isinstance(inner, dict) else value
     return table
+
+
+def nested(fields: Mapping[str, Any]) -> Layer:
+    """A layer of a scene from values by full name, such as "gel.thickness_mm"."""
+    layer: Layer = {}
+    for name, value in fields.items():
+        *path, key = name.split(".")
+        table = layer
+        for step in path:
+            table = table.setdefault(step, {})
+        table[key] = value
+    return layer
 
 
 def read_layer(path: str | Path) -> Layer:

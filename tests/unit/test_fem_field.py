@@ -24,7 +24,7 @@ from gelsim.fem.field import (
 from gelsim.pipeline import stages
 from gelsim.scene.definition import Body
 from gelsim.scene.layers import build_scene
-from gelsim.shape import shapes
+from gelsim.shape import outlines, shapes
 
 Array = NDArray[np.float64]
 SPACING = 0.125
@@ -193,4 +193,4 @@ def test_a_radius_that_is_given_is_taken() -> None:
     for given, expected in ((0.3, 0.3), (0.0, 0.04), (None, 0.1)):
         body = Body(shape="box", rigid=True, edge_radius_mm=given)
         assert spacing(body) == pytest.approx(expected / ROUNDING)
-    assert shapes.edge_radius(Body(shape="shell", rigid=True, wall_mm=0.24)) == pytest.approx(0.06e-3)
+    assert outlines.edge_radius(Body(shape="shell", rigid=True, wall_mm=0.24)) == pytest.approx(0.06e-3)
