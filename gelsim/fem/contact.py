@@ -160,6 +160,7 @@ class SurfaceContact:
         self.master = array(master_faces, wp.int32)
         self.ends = array(_border_sides(rest, master_faces, symmetry) if ends else np.zeros(len(master_faces)), wp.int32)
         self.shape = array(self.shape_values, vec6d)
+        self.own = array(bary[:, 1:], wp.vec2d)
         self.weight = array(self.rest_weight, wp.float64)
         self.corners = array(_SUB_CORNERS, wp.vec2d)
         self.scenes, self.nodes = 1, len(rest)
@@ -265,7 +266,7 @@ class SurfaceContact:
         else:
             self._tree.refit()
         pairing = [self.overhang, self.face, self.place, self.normal, self.gap]
-        self._launch(closest_points, x, self._tree.id, self.master, self.corners, self.ends, reach, *pairing)
+        self._launch(closest_points, x, self._tree.id, self.master, self.corners, self.ends, reach, self.own, *pairing)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""

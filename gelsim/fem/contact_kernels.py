@@ -13,6 +13,9 @@ from gelsim.fem.pattern import PairPattern, add_block, pair_offset
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 
+# Cosine between outward normals above which surfaces do not face each other.
+FACING = wp.constant(wp.float64(-0.1))
+
 # Least slope that counts as one: where flanks face each other a distance's is 0 halfway between them.
 FLATTEST = wp.constant(wp.float64(0.2))
 
@@ -193,7 +196,7 @@ def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32
 def closest_points(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), ends: wp.array(dtype=wp.int32),
-    reach: wp.float32,
+    reach: wp.float32, points: wp.array(dtype=wp.vec2d),
     overhang: wp.array(dtype=wp.float64), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
 ):  # fmt: skip
@@ -242,9 +245,14 @@ def closest_points(
     r = position - on_face(x, base, master, f, tri6(xi))
     d = wp.length(r)
     g = wp.dot(r, n)
-    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it
-    if clamped and g < wp.float64(0.0) and -g < wp.float64(0.7) * d:
-        g = d
+    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it; and at an
+    # acute corner it is a flank's, behind which the point lies though the surfaces do not face each other
+    if g < wp.float64(0.0):
+        own = slave_face(layout, i)
+        at = points[i % layout.points]
+        facing = wp.dot(n, wp.normalize(wp.cross(on_face(x, base, slave, own, tri6_d1(at)), on_face(x, base, slave, own, tri6_d2(at)))))
+        if facing > FACING or (clamped and -g < wp.float64(0.7) * d):
+            g = d
     face[i] = f
     place[i] = wp.vec3d(xi[0], xi[1], wp.float64(0.0))
     normal[i] = n

@@ -186,7 +186,8 @@ class Press:
     depth_mm: float | None = 1.0
     """Total approach of the object's base from first touch."""
     force_n: float | None = 9.0
-    """Stop early at this normal force; either may be left out, not both."""
+    """Stop early at this normal force; either may be left out, not both. A depth_mm that is given without it is reached, whatever the
+    force."""
     frames: int = 10
     """Recorded states, equally spaced in approach; the first is first touch."""
     tilt_deg: Vec2 = (0.0, 0.0)

@@ -68,6 +68,9 @@ def build_scene(*layers: Layer) -> Scene:
                 merged[key] = _overlaid(merged.get(key, {}), value)
             else:
                 merged[key] = value
+    press = merged.get("press", {})
+    if "force_n" not in press and str(press.get("depth_mm")).lower() != "none":
+        merged["press"] = {**press, "force_n": None}  # a depth that is given is reached
     try:
         return Scene(**merged)
     except (SceneError, MaterialError) as error:

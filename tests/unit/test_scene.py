@@ -14,7 +14,7 @@ import pytest
 from gelsim.errors import MaterialError, SceneError
 from gelsim.scene.definition import Body, Gel, LawConstants, Press, Scene
 from gelsim.scene.fields import field_types
-from gelsim.scene.layers import build_scene, dump_scene, load_scene, preset_names
+from gelsim.scene.layers import build_scene, dump_scene, load_scene, preset_names, scene_table
 from gelsim.scene.limits import LIMITS
 
 
@@ -40,6 +40,16 @@ def test_written_scene_reads_back_equal(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "scenes").glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_scenes_load(path: Path) -> None:
     load_scene(path)
+
+
+def test_a_depth_that_is_given_is_reached_whatever_the_force() -> None:
+    """Parts on `digit` ended at 0.19 to 0.47 mm of the 0.5 that were asked for, by the default force."""
+    assert build_scene({}).press.force_n == 9.0 and build_scene({}).press.depth_mm == 1.0
+    assert build_scene({"press": {"depth_mm": 0.5}}).press.force_n is None
+    assert build_scene({"press": {"depth_mm": 0.5}}, {"press": {"force_n": 3.0}}).press.force_n == 3.0
+    assert build_scene({"press": {"depth_mm": "None"}}).press.force_n == 9.0
+    whole = scene_table(build_scene({}))
+    assert build_scene(whole, {"press": {"depth_mm": 0.5}}).press.force_n == 9.0  # a scene that was written says both
 
 
 def test_later_layer_beats_earlier_one() -> None:
