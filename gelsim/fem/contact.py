@@ -22,7 +22,7 @@ which resists a reversal of the slip as well.
 Who is which: the master's normals should turn little from face to face. Over an object's sharp tip, whose flanks face away from each
 other, the gel's points find one flank or the other and forces jump; the tip's points on the gel's faces have one normal. And there should
 be many points on each of the master's faces, which warp between them: where nothing else holds a tip, it slides. Else the gel's points are
-the better ones, as they know where contact ends on the surface that the camera sees (`fem.ways` chooses).
+the better ones, as they know where contact ends on the surface that the camera sees (`fem.strategy.ways` chooses).
 
 A rigid object is no surface but a distance (`RigidContact`, field.py). Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""

@@ -10,7 +10,7 @@ search finds how far that is, and each recorded state is one step from its way; 
 before, a second march records. What ended a press its info says (`errors.PressEnd`).
 
 A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
-(`fem.ways`). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
+(strategy.py). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
 stays. Solids that remember begin at rest instead.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).

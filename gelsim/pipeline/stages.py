@@ -138,7 +138,8 @@ def _press_solid(
     enough: Callable[[Deformation], bool] | None,
 ) -> Deformation:
     """The press as a solid; of the object's meshes the one with which it got furthest."""
-    from gelsim.fem import further, solve_press
+    from gelsim.fem import solve_press
+    from gelsim.fem.strategy import further
 
     best, meshes = None, {}
     for draw in range(1 if scene.object.rigid else DRAWS):

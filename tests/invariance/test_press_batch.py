@@ -13,13 +13,14 @@ import pytest
 import warp as wp
 
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, _problem, _tries, solve_batch, ways
+from gelsim.fem import _problem, solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, PressProblem
 from gelsim.fem.quasistatic import OVERLAP_MM, Course, Request
+from gelsim.fem.strategy import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, tries, ways
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
@@ -209,13 +210,13 @@ def test_a_nudge_is_told_of(lost: int, friction: float, where: str) -> None:
     """Also where a later try, without it, gets to the end."""
     frictionless = build_scene({"object": {"shape": "hemisphere"}, "contact": {"friction_coefficient": 0.0}})
     some = alone(scene(200.0))
-    tries = _tries(frictionless, frozenset())
-    way, course = next(tries)
+    turns = tries(frictionless, frozenset())
+    way, course = next(turns)
     for number in range(lost):
         course.before = cast(Any, SimpleNamespace(approach=(0.4 + 0.2 * number) * 1e-3))
-        way, course = tries.send(replace(some, info={"ended_by": PressEnd.LOST}))
+        way, course = turns.send(replace(some, info={"ended_by": PressEnd.LOST}))
     with pytest.raises(StopIteration) as end:
-        tries.send(replace(some, info={"ended_by": PressEnd.DEPTH}))
+        turns.send(replace(some, info={"ended_by": PressEnd.DEPTH}))
     press = end.value.value
     assert press.info["friction_coefficient"] == friction
     said = [warning for warning in press.info["warnings"] if "friction" in warning]

@@ -14,7 +14,7 @@ from planar_fixtures import press_of
 import gelsim.fem
 from gelsim.bench.presses import ball
 from gelsim.errors import MeshingError, PressEnd, SolveError, SolveStatus
-from gelsim.fem import further, quasistatic  # pyright: ignore[reportPrivateUsage]
+from gelsim.fem import quasistatic, strategy
 from gelsim.fem.batch import run_batch
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
@@ -290,9 +290,9 @@ def test_of_two_tries_the_better_is_kept() -> None:
     near, far = (ended(PressEnd.LOST, SolveStatus.CONVERGED, travel) for travel in (1.0, 2.0))
     squashed = ended(PressEnd.LIMIT, SolveStatus.CONVERGED, 0.5)
     for worse, better in ((failed, near), (near, far), (far, squashed), (failed, squashed)):
-        assert further(worse, better) is better
-        assert further(better, worse) is better
-    assert further(near, replace(near)) is near
+        assert strategy.further(worse, better) is better
+        assert strategy.further(better, worse) is better
+    assert strategy.further(near, replace(near)) is near
 
 
 STICKY = build_scene({
@@ -464,7 +464,7 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
-    tries, made = gelsim.fem._tries(scene, frozenset("xy"), enough), []  # pyright: ignore[reportPrivateUsage]
+    tries, made = strategy.tries(scene, frozenset("xy"), enough), []
     way, course = next(tries)
     with pytest.raises(StopIteration) as end:
         while True:
@@ -479,7 +479,7 @@ def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(d
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
     there = replace(deformation, info={"ended_by": PressEnd.FORCE})
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
-    tries = gelsim.fem._tries(scene, frozenset("xy"), lambda _: True)  # pyright: ignore[reportPrivateUsage]
+    tries = strategy.tries(scene, frozenset("xy"), lambda _: True)
     _, course = next(tries)
     course.before = SimpleNamespace(approach=0.0)  # type: ignore[assignment]
     way, _ = tries.send(lost)
