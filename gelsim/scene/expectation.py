@@ -3,7 +3,7 @@
     [expect]
     force_n = { value = 0.4703, spread = 0.0012, margin = 0.015 }
 
-Nothing is computed from it, and no result carries it: `gelsim.scene.layers` takes it off a scene file, and the tests of tests/golden/ compare
+Nothing is computed from it, and no result carries it: `gelsim.scene.layers` takes it off a scene file, and tests/golden/ compares
 (there too: how spread and margin are found). The numbers are those of the last recorded state.
 """
 
