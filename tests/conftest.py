@@ -14,7 +14,9 @@ from gelsim.results import Deformation, Frame, SurfaceMotion
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--regenerate", action="store_true", help="write golden data (tests/golden/*.npz, [expect] of scenes/*.toml) anew instead of comparing"
+        "--regenerate",
+        action="store_true",
+        help="write golden data (tests/golden/*.npz, [expect] of scenes/*.toml) anew, not compare",
     )
 
 

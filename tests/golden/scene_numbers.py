@@ -1,7 +1,7 @@
 """The numbers of a scene's [expect] table: how they are measured, how far they scatter from mesh to mesh, and the margin that follows.
 
-fTetWild draws a soft object's mesh by lot, so a press that is solved anew is another sample. From n draws of mean m and standard deviation s
-the next one, x, differs by (x - m) / (s sqrt(1 + 1/n)), which is Student's t of n - 1 degrees of freedom. The margin is where that is less
+fTetWild draws a soft object's mesh by lot, so a press that is solved anew is another sample. From n draws of mean m and standard deviation
+s the next one, x, differs by (x - m) / (s √(1 + 1/n)), which is Student's t of n - 1 degrees of freedom. The margin is where that is less
 likely than `FALSE_ALARM`, plus what two solvers that both stop in time may differ by (`SOLVED_TO`), all there is where no mesh is drawn.
 The press's own error estimate (force: 0.6 to 5 %) is no part of it: that error is the same in every draw, and a net as wide would let a
 changed solver through. One that is right and different is a reason to regenerate.
@@ -30,7 +30,7 @@ from gelsim.scene.definition import Render, Scene
 from gelsim.scene.expectation import Expectation, Expected
 
 DRAWS = 8
-"""Of an object's mesh: with fewer t has such long tails that the margin is wider than the scatter is worth (n = 4: 26 s, 8: 10 s, 16: 7 s)."""
+"""Of an object's mesh. Fewer make wide margins, for t has long tails then: n = 4: 47 s, 8: 10 s, 16: 6 s."""
 FALSE_ALARM = 3e-5
 """Of one number: once in a thousand runs of the thirty numbers of five scenes."""
 SOLVED_TO = 1e-3
@@ -41,10 +41,10 @@ times that at worst."""
 def measured(scene: Scene, press: Deformation) -> dict[str, float]:
     """The numbers of the last state, by their names in [expect].
 
-    The picture is small and of few paths, for its mean is all that counts (256 paths a pixel give the same to 0.003 levels), and without the
-    window's reflection, which scalar variants of Mitsuba leave out.
+    The picture is small and of few paths, for its mean is all that counts, and of direct light without the window's reflection: so much all
+    variants of Mitsuba draw alike.
     """
-    shown = scene.replace(render=Render("path", 4, (160, 120)), lights=replace(scene.lights, window_reflection=False))
+    shown = scene.replace(render=Render("direct", 4, (160, 120)), lights=replace(scene.lights, window_reflection=False))
     rest, membrane = rest_membrane(scene), membrane_states(scene, press)[-1]
     frames = render_frames(shown, [rest, membrane], variant=choose_variant("cpu"))
     background, picture = (frame.image.astype(float) for frame in frames)
