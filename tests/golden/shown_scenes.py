@@ -47,7 +47,8 @@ SHOWN = {
 }
 """The tracer of gelsim.optics, and Mitsuba's own, which has a reference for itself: instead of refracted rays it has points moved sideways,
 which puts 200 pixels at markers' edges and centroids by 0.03 px elsewhere. Its `path` is not kept: now and then it meets a flake that
-mirrors a light, 30 levels at once, and such noise is far from normal. `baked` is compared with `path` in tests/oracle/test_baked_light.py."""
+mirrors a light, 30 levels at once, and such noise is far from normal. `baked` is compared with `path` in tests/oracle/test_baked_light.py.
+"""
 
 
 def shown_scene(shown: Shown) -> Scene:
