@@ -1,6 +1,7 @@
 """Every shipped scene is solved to its end, without visible overlap, and gives the numbers of its [expect] table.
 
-Shown to bite: a number that is off, a tet turned inside out, friction of the wrong sign.
+Shown to bite: a number that is off, a tet turned inside out, friction of the wrong sign. Not seen is how large friction is: the sheared scene
+sticks nearly everywhere, and a coefficient of 0.8 gives the numbers that "stick" gives.
 """
 
 from __future__ import annotations
@@ -41,8 +42,12 @@ def test_numbers_of_a_shipped_scene(path: Path, regenerate: bool) -> None:
     # What is pressed deeper pushes harder; the first state is first touch.
     assert press.force[0, 2] == 0 and (np.diff(press.force[:, 2]) < 0).all()
     expectation = load_expectation(path)
-    assert len(expectation.numbers()) >= 6
-    assert moved(expectation, measured(scene, press)) == []
+    found = measured(scene, press)
+    left_out = set(expectation.numbers()) - set(found)
+    assert len(expectation.numbers()) >= 6 and left_out <= {"picture_mean", "picture_change"}
+    assert moved(expectation, found) == []
+    if left_out:
+        pytest.skip(f"{path.name}: numbers hold, but for those of pictures: LLVM does not draw on this machine")
 
 
 def test_margin_of_known_draws() -> None:
