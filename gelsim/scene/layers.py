@@ -3,6 +3,7 @@
 A layer is a nested dictionary with the keys of the dataclasses in `gelsim.scene.definition`. A later layer beats an earlier one field by
 field, with two exceptions: of shore_00, shore_a and youngs_modulus_kpa in a table the one given last displaces whichever came before, and
 another law displaces the constants of the one before. TOML has no null; the text "none" stands for it (`depth_mm = "none"`).
+The [expect] table of a scene file is no part of the scene: it is checked and left behind (`gelsim.scene.expectation`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 from gelsim.errors import MaterialError, SceneError, within
 from gelsim.scene.definition import STIFFNESS, Grains, LawConstants, Scene, Sensor, Skin
+from gelsim.scene.expectation import Expectation, read_expectation
 from gelsim.scene.fields import field_types, known_key, nearest
 
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
@@ -115,11 +117,21 @@ def nested(fields: Mapping[str, Any]) -> Layer:
 
 
 def read_layer(path: str | Path) -> Layer:
-    """One TOML file as a layer, with the paths in it made absolute."""
+    """One TOML file as a layer, with the paths in it made absolute; without its [expect]."""
     path = Path(path)
     layer = read_toml(path, "scene file")
+    read_expectation(layer.pop("expect", {}))
     _check_layer(layer)
     return anchored(layer, path.parent.resolve())
+
+
+def load_expectation(path: str | Path) -> Expectation:
+    """The [expect] table of a scene file; nothing is expected where it has none.
+
+    Raises:
+        SceneError: No such file, not TOML, or a table that cannot be read.
+    """
+    return read_expectation(read_toml(Path(path), "scene file").get("expect", {}))
 
 
 def anchored(layer: Layer, folder: Path) -> Layer:
