@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gelsim.membrane.surface import Surface
 from gelsim.optics import VariantChoice, choose_variant
 from gelsim.optics.camera import marker_pixels
-from gelsim.optics.render import render_frames
+from gelsim.optics.frames import render_frames
 from gelsim.optics.variant import SCALAR
 from gelsim.results import Membrane
 from gelsim.scene.definition import Render, Scene
