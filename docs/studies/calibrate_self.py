@@ -34,7 +34,7 @@ def truth(width: int, height: int) -> Parameters:
     lights = [[a * half, np.radians(b), c * half, 0.0, d, np.log(e * half), np.log(f * half)] for a, b, c, d, e, f in places]
     colours = np.array([[16.0, 1.0, 0.6], [0.8, 17.0, 1.2], [0.5, 1.4, 14.0], [1500.0, 1500.0, 1700.0]])
     values = np.array([FIELD_MM / width, 34.0, CURVATURE, THICKNESS_MM, 0.2, 0.45, 1.0])
-    return Parameters(values, np.array(lights), colours, np.zeros((0, 3)), half, width / 2, (4.0, 1.49, 1.41))
+    return Parameters(values, np.array(lights), colours, half, width / 2, (4.0, 1.49, 1.41))
 
 
 def write_photos(

@@ -65,6 +65,11 @@ class DentFamily:
         row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
         return depth_mm * _bilinear(self.height, row, column)
 
+    def pulled(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> Array:
+        """How far outward [mm] material points have moved, at a rest distance from first touch; arrays of one shape."""
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
+        return depth_mm * _bilinear(self.moved[0], row, column)
+
     def displacement(self, distance_mm: Array, depth_mm: float, radius_mm: float) -> tuple[Array, Array]:
         """Radial and vertical displacement [mm] of material points at a rest distance from first touch."""
         depth = np.full_like(distance_mm, depth_mm)

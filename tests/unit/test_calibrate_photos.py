@@ -136,11 +136,12 @@ def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     (folder / "presses.csv").write_text("file\na.png\n")
     photos = read_photos(folder)
     globals_ = np.array([0.3, 40.0, 0.0, 3.0, 0.1, 0.4, 1.0])
-    sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), np.zeros((0, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
+    sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
     base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
     frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
-    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, photos.no_contact, None, nothing, nothing, frozen, "cpu")  # type: ignore[arg-type]
+    none: Any = SimpleNamespace(deepest_mm=1.0)
+    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, none, frozen, "cpu")
     fitted = run.Fitted(sensor, np.zeros((1, 3)), 0.0, 1.0, 1.0, np.eye(sensor.vector.size), 1)
     places = np.zeros((1, 3))
-    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, {}, [])
+    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
     assert ["worse than the no-contact picture does (MSE 225.0, not 100.0)" in text for text in report["warnings"]] == [True] * warned
