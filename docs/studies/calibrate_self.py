@@ -33,7 +33,7 @@ def truth(width: int, height: int) -> Parameters:
     places = [(1.5, 25.0, -0.75, 0.35, 0.55, 0.18), (1.7, 140.0, -0.6, 0.3, 0.7, 0.15), (1.45, 268.0, -0.85, 0.45, 0.45, 0.2)]
     lights = [[a * half, np.radians(b), c * half, 0.0, d, np.log(e * half), np.log(f * half)] for a, b, c, d, e, f in places]
     colours = np.array([[16.0, 1.0, 0.6], [0.8, 17.0, 1.2], [0.5, 1.4, 14.0], [1500.0, 1500.0, 1700.0]])
-    values = np.array([FIELD_MM / width, 34.0, CURVATURE, THICKNESS_MM, 0.2, 0.45, 1.0])
+    values = np.array([FIELD_MM / width, 34.0, CURVATURE, THICKNESS_MM, 0.2, 0.45, 1.0, 0.0, 0.0, 0.0])
     return Parameters(values, np.array(lights), colours, half, width / 2, (4.0, 1.49, 1.41))
 
 

@@ -99,15 +99,31 @@ class Shape:
     curvature: float
     """Of the dome [1/mm]."""
     ball_mm: float
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """Of the camera about x and y [rad]; its foot is where the picture's middle shows the gel's."""
 
 
 def rays(shape: Shape, place: Array) -> tuple[Array, Array]:
     """Where rays of places in the picture meet z = 0 [mm], and their slopes in the gel, each of shape (N, 2), as in `optics.camera`."""
     air = max(shape.distance_mm - sum(thickness for thickness, _ in shape.layers), LEAST_AIR_MM)
     focal = shape.half_width_px / solve_slope(shape.half_width_px * shape.mm_per_px, air, shape.layers)
-    in_air = place / focal
+    start, slope = _through(shape, air, place / focal)
+    return start + foot(shape), slope
+
+
+def foot(shape: Shape) -> Array:
+    """x and y of the pinhole [mm]."""
+    air = max(shape.distance_mm - sum(thickness for thickness, _ in shape.layers), LEAST_AIR_MM)
+    return -_through(shape, air, np.zeros((1, 2)))[0][0]
+
+
+def _through(shape: Shape, air: float, ideal: Array) -> tuple[Array, Array]:
+    """Of rays by their slopes in the camera's own directions: how far sideways they reach z = 0, and their slopes in the gel."""
+    (cx, sx), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in shape.tilt)
+    x, y, z = (a * ideal[:, 0] + b * ideal[:, 1] + c for a, b, c in ((cy, sy * sx, sy * cx), (0.0, cx, -sx), (-sy, cy * sx, cy * cx)))
+    in_air = np.stack([x / z, y / z], axis=1)
     squared = (in_air**2).sum(axis=1)
-    reach, bent = np.full(len(place), air), np.ones(len(place))
+    reach, bent = np.full(len(ideal), air), np.ones(len(ideal))
     for thickness, index in shape.layers:
         bent = 1 / np.sqrt(index**2 + (index**2 - 1) * squared)
         reach = reach + thickness * bent
@@ -157,7 +173,7 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
     at = seen.centre[some] + away * (before / distance)[:, None]
     height = _dome(shape.curvature, at)[0]
     here = place[some]
-    for _ in range(2):
+    for _ in range(3):
         start, slope = rays(shape, here)
         here = here + (at - start - slope * height[:, None]) / shape.mm_per_px
     place[some] = here

@@ -28,6 +28,9 @@ GLOBALS = (
     "coating.specular",
     "coating.roughness",
     "camera.gamma",
+    "camera.tilt_x_rad",
+    "camera.tilt_y_rad",
+    "contact.slip",
 )
 GEOMETRY = ("away_mm", "azimuth_rad", "z_mm", "turn_rad", "elevation_rad", "log_length", "log_height")
 VEIL_Z, VEIL_SIZE = -500.0, 150.0
@@ -48,6 +51,9 @@ PRIORS = {
     "coating.specular": (0.15, 0.0, 0.9),
     "coating.roughness": (0.12, 0.15, 1.0),
     "camera.gamma": (0.5, 0.4, 3.0),
+    "camera.tilt_x_rad": (0.05, -0.35, 0.35),
+    "camera.tilt_y_rad": (0.05, -0.35, 0.35),
+    "contact.slip": (0.5, 0.0, 1.0),
     "away_mm": (0.5, BESIDE, 5.0),  # relative to half the field's diagonal: beside the picture
     "azimuth_rad": (0.5, -10.0, 10.0),
     "z_mm": (0.4, -2.5, -0.04),  # likewise
@@ -125,7 +131,9 @@ class Parameters:
 
     def shape(self, ball_mm: float) -> Shape:
         layers = ((self.window[0], self.window[1]), (float(self.globals[3]), self.window[2]))
-        return Shape(self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], ball_mm)
+        return Shape(
+            self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], ball_mm, (self.globals[7], self.globals[8])
+        )
 
     def light(self, index: int) -> Array:
         """x, y, z, azimuth and elevation of its face, length, height of a light, for `model`; the veil is the last."""
@@ -158,7 +166,8 @@ def light_names(parameters: Parameters) -> list[str]:
 
 def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) -> Scene:
     """The sensor as a scene: gel, camera, lights, coating; the rest is the start's."""
-    px, distance, curvature, thickness, specular, roughness, gamma = (float(value) for value in parameters.globals)
+    px, distance, curvature, thickness, specular, roughness, gamma, about_x, about_y, _ = (float(value) for value in parameters.globals)
+    foot = model.foot(parameters.shape(1.0))
     lights = []
     for index, (name, flux) in enumerate(zip(light_names(parameters), parameters.colours, strict=True)):
         light = parameters.light(index)
@@ -184,6 +193,8 @@ def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) 
         white_balance=(1.0, 1.0, 1.0),
         gamma=gamma,
         shading=(),
+        tilt_deg=(float(np.degrees(about_x)), float(np.degrees(about_y))),
+        offset_mm=(float(foot[0]), float(foot[1])),
         noise_sd=(0.0, 0.0, 0.0),
     )
     return start.replace(

@@ -50,7 +50,7 @@ NEEDED = 1.05
 """A light is needed if the squared error without it is larger by this factor."""
 ROUNDS = 2
 """Of the renderer's correction."""
-CORRECTION_SPP, SCORE_SPP = 24, 24
+CORRECTION_SPP, SCORE_SPP = 24, 64
 SMOOTHING = 0.8
 """Standard deviation [px] of the mean over the renderer's noise in what it adds."""
 VALIDATION = 4
@@ -129,6 +129,9 @@ def calibrate(
         first, presses, states, judged = _states(job, mm_per_px, show)
         state = min(states, key=lambda each: each.error)
         sd = _press_sd(job, presses)
+        if len(judged):
+            states.append(_of_all(job, state, presses, sd, judged, show))
+            state = min(state, states[-1], key=lambda each: each.error)
         places, press_sd = presses.copy(), np.full((len(presses), 3), np.nan)
         count = state.fitted.parameters.vector.size
         spread = np.sqrt(np.maximum(np.diag(state.fitted.covariance), 0))
@@ -211,6 +214,21 @@ def _states(job: _Job, mm_per_px: float, show: Progress) -> tuple[Parameters, Ar
             presses[kept] = fitted.presses
             states.append(_State(f"fit after render {number + 1}", fitted, believed, kept, added))
     return first, presses, states, judging
+
+
+def _of_all(job: _Job, state: _State, presses: Array, sd: Array, judged: NDArray[np.int64], show: Progress) -> _State:
+    """The fit gone on from a state with the presses that judged it, which it must then explain at least as well as before."""
+    train = np.flatnonzero(~job.photos.test)
+    begun = presses.copy()
+    begun[state.which] = state.fitted.presses
+    begun[judged] = _locate(job, state, begun[judged], sd[judged], judged, show).presses
+    data = job.data(train, state.correction)
+    fitted = _fit(job, state.fitted.parameters, begun[train], sd[train], data, state.believed, 10, "fit of all", show)
+    every = _State("fit of all presses", fitted, state.believed, train, state.correction)
+    begun[train] = fitted.presses
+    pictures, every.correction = _correction(job, every, begun, train, show, "render all")
+    every.error = _dent_error(job, pictures, judged)
+    return every
 
 
 def _dent_error(job: _Job, pictures: Array, which: NDArray[np.int64]) -> float:
@@ -304,7 +322,7 @@ def _reduce(pictures: Array, factor: int) -> Array:
 def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:
     photos = job.photos
     curvature, thickness = curvature_of(job.base.gel), job.base.gel.thickness_mm
-    values = np.array([mm_per_px, job.base.camera.distance_mm, curvature, thickness, 0.1, 0.4, 1.0])
+    values = np.array([mm_per_px, job.base.camera.distance_mm, curvature, thickness, 0.1, 0.4, 1.0, 0.0, 0.0, 0.5])
     half_field = 0.5 * float(np.hypot(*job.size)) * mm_per_px
     lights = job.base.lights
     window = (lights.window_thickness_mm, lights.window_ior, lights.gel_ior)
@@ -374,7 +392,7 @@ def _with_rest(scene: Scene, rest: Path) -> Scene:
 def _draw(job: _Job, scene: Scene, parameters: Parameters, presses: Array, spp: int, show: Progress, name: str) -> tuple[Array, Array]:
     scene = scene.replace(render=replace(scene.render, mode="path", spp=spp))
     rest, images = drawing.draw(
-        scene, job.dents.at(parameters.globals[3]), job.photos.ball_mm, list(presses), device=job.device,
+        scene, job.dents.at(parameters.globals[3], parameters.globals[9]), job.photos.ball_mm, list(presses), device=job.device,
         progress=lambda done, total: show(name, done, total),
     )  # fmt: skip
     return rest.astype(float), images.astype(float)

@@ -32,7 +32,7 @@ def parameters() -> Parameters:
         [1.6 * half, azimuth, -0.7 * half, 0.1, 0.3, np.log(0.6 * half), np.log(0.2 * half)] for azimuth in np.radians([10.0, 130.0, 250.0])
     ]
     colours = np.array([[9.0, 0.5, 0.3], [0.4, 8.0, 0.6], [0.3, 0.7, 9.0], [900.0, 800.0, 900.0]])
-    values = np.array([0.25, 30.0, CURVATURE, 2.4, 0.3, 0.45, 1.1])
+    values = np.array([0.25, 30.0, CURVATURE, 2.4, 0.3, 0.45, 1.1, 0.03, -0.05, 0.3])
     return Parameters(values, np.array(geometry), colours, half, SIZE[0] / 2, (4.0, 1.49, 1.41))
 
 

@@ -135,7 +135,7 @@ def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     """The one press differs from no_contact by 10 levels everywhere, the fitted sensor's picture of it by `off`."""
     (folder / "presses.csv").write_text("file\na.png\n")
     photos = read_photos(folder)
-    globals_ = np.array([0.3, 40.0, 0.0, 3.0, 0.1, 0.4, 1.0])
+    globals_ = np.array([0.3, 40.0, 0.0, 3.0, 0.1, 0.4, 1.0, 0.0, 0.0, 0.0])
     sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
     base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
     frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
