@@ -286,6 +286,10 @@ def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Prog
     if photos.gel is not None:
         base = base.replace(gel=photos.gel)
     contacts, sure = beginning.find_contacts(no_contact, reduced)
+    # What a person marked is believed.
+    marked = np.column_stack([photos.hints[:, :2], beginning.DRAPE * photos.radii]) / factor
+    contacts = np.where(np.isfinite(marked), marked, contacts)
+    sure |= np.isfinite(marked).all(axis=1)
     if not sure.all():
         lost = [name for name, found in zip(photos.files, sure, strict=True) if not found]
         raise SceneError(

@@ -43,4 +43,11 @@ def test_a_known_sensor_is_found(repository: Path, tmp_path: Path, monkeypatch: 
     # The preset is a sensor.
     scene = build_scene({"sensor": {"preset": str(tmp_path / "sensor.toml")}})
     assert scene.camera.resolution == (width, height) and len(scene.lights.lights) == len(report["fit"]["lights"])
-    assert {path.name for path in tmp_path.iterdir()} == {"photos", "sensor.toml", "sensor_rest.png", "report.json", "comparison.png", "residuals.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "photos",
+        "sensor.toml",
+        "sensor_rest.png",
+        "report.json",
+        "comparison.png",
+        "residuals.png",
+    }

@@ -75,6 +75,8 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,col_px\na.png,-5\n", "presses.csv: line 2: col_px = -5 px: allowed is 0 … 64 px"),
         ("presses.csv", "file,col_px,row_px\na.png,64,48\nb.jpg,0,48.5\n", "presses.csv: line 3: row_px = 48.5 px: allowed is 0 … 48 px"),
         ("presses.csv", "file,depth_mm\na.png,nan\n", "depth_mm = nan is not finite"),
+        ("presses.csv", "file,contact_radius_px\na.png,0\n", "contact_radius_px = 0 px: allowed is more than 0, up to 32 px"),
+        ("presses.csv", "file,contact_radius_px\na.png,33\n", "contact_radius_px = 33 px: allowed is more than 0, up to 32 px"),
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
         ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
         ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
@@ -128,6 +130,18 @@ def test_photographs_without_any_contact_are_refused(folder, tmp_path, capsys):
     (folder / "b.jpg").unlink()
     assert main(["calibrate", "--photos", str(folder), "--out", str(tmp_path / "out" / "sensor.toml")]) == 2
     assert "no contact can be seen in a.png" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_circles_that_a_person_drew_are_believed(folder, tmp_path, monkeypatch):
+    (folder / "presses.csv").write_text("file,col_px,row_px,contact_radius_px\na.png,20,30,6\nb.jpg,,,\n")
+    photos = read_photos(folder)
+    assert photos.radii[0] == 6 and np.isnan(photos.radii[1])
+    found = np.array([[40.0, 10.0, 12.0], [32.0, 24.0, 8.0]])
+    monkeypatch.setattr(run.beginning, "find_contacts", lambda *_: (found, np.array([False, True])))
+    monkeypatch.setattr(run, "solve_dents", lambda *_: None)
+    job, _ = run._prepare(photos, run._base(None), tmp_path, "cpu", lambda *_: None, [])
+    # The drape about a contact is half as wide again. Planted: what was found is another place.
+    assert job.contacts == pytest.approx(np.array([[20.0, 30.0, 9.0], [32.0, 24.0, 8.0]])) and job.contacts[0, 0] != found[0, 0]
 
 
 @pytest.mark.parametrize(("off", "warned"), [(5.0, False), (15.0, True)])
