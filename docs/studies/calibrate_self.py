@@ -87,8 +87,9 @@ def compare(report: dict, sensor: Parameters, presses: np.ndarray) -> list[tuple
     found = report["parameters"]
     rows = []
     for name, value in zip(GLOBALS, sensor.globals, strict=True):
-        if found[name]["state"] != "given":
-            rows.append((name, float(value), found[name]["value"], found[name]["sd"], found[name]["state"]))
+        shown, wanted, _ = in_units(name, float(value), 0.0)
+        if found[shown]["state"] != "given":
+            rows.append((shown, wanted, found[shown]["value"], found[shown]["sd"], found[shown]["state"]))
     names = report["fit"]["lights"][:-1]
     angles = np.array([np.radians(found[f"lights.{name}.azimuth_deg"]["value"]) for name in names])
     for light in sensor.geometry:
