@@ -197,7 +197,8 @@ def _smooth(places: Array, values: Array, wanted: Array) -> Array:
     """Values at the wanted places by shape-preserving cubics; 0 beyond the last place, reached without a step."""
     from scipy.interpolate import PchipInterpolator
 
-    increasing = np.concatenate([[True], np.diff(places) > 1e-9])
+    # A ball that slips may push a point past its neighbour: beyond the farthest so far, the next one that is farther.
+    increasing = np.concatenate([[True], places[1:] > np.maximum.accumulate(places)[:-1] + 1e-9])
     table = PchipInterpolator(places[increasing], values[increasing], extrapolate=False)(wanted)
     fade = np.clip((REACH - wanted) / (0.1 * REACH), 0, 1)
     return np.nan_to_num(table) * fade
