@@ -111,7 +111,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.dots:
         errors, moves, sideways = dot_errors(options.photos, options.dots)
-        print(f"{len(errors)} dots moved {MOVED_PX:g} px or more: median error {np.median(errors):.2f} px, motion {np.median(moves):.2f} px")
+        print(
+            f"{len(errors)} dots moved {MOVED_PX:g} px or more: median error {np.median(errors):.2f} px, motion {np.median(moves):.2f} px"
+        )
         print(f"median error less each press's own mean {np.median(sideways):.2f} px")
     else:
         write_folder(options.data, options.set, options.out)

@@ -1,9 +1,9 @@
 """The folder of photographs that `gelsim calibrate` reads: photos.toml, presses.csv, pictures; checked before anything is computed.
 
 photos.toml: `ball_radius_mm`, `no_contact` (both required), `mm_per_px`, `gel` (a [gel] section), `markers`, `linear`. presses.csv, if any:
-file, col_px, row_px, contact_radius_px, depth_mm, split; any cell but the file may be empty. Without it every other picture of the folder is a press. A picture is 8-bit
-sRGB unless `linear` says that its values are proportional to light; those, and EXR files, are put on the sRGB scale, on which errors are
-counted. Left out: raw camera formats, pictures of 16 bits, which are read as 8.
+file, col_px, row_px, contact_radius_px, depth_mm, split; any cell but the file may be empty. Without it every other picture of the folder
+is a press. A picture is 8-bit sRGB unless `linear` says that its values are proportional to light; those, and EXR files, are put on the
+sRGB scale, on which errors are counted. Left out: raw camera formats, pictures of 16 bits, which are read as 8.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def _rows(folder: Path, no_contact: str, sides: dict[str, int]) -> list[dict[str
         widest = max(sides.values()) / 2
         if not (math.isnan(row["contact_radius_px"]) or 0 < row["contact_radius_px"] <= widest):
             raise SceneError(
-                f"{where}: contact_radius_px = {row['contact_radius_px']:g} px: allowed is more than 0, up to {widest:g} px, half the picture"
+                f"{where}: contact_radius_px = {row['contact_radius_px']:g} px: allowed is more than 0, up to {widest:g} px"
             )
         rows.append(row)
     return rows

@@ -80,7 +80,7 @@ def test_model_is_the_renderer_in_direct_mode(dents, press, tmp_path, monkeypatc
 
 
 def agree(column: np.ndarray, central: np.ndarray, share: float = 0.98) -> bool:
-    """Within 1 %, and a hundredth of the typical size, in a share of the values: where a pixel lies on a kink (the rim of a shadow, a step of
+    """Within 1 %, and a hundredth of the typical size, in that share: where a pixel lies on a kink (the rim of a shadow, a step of
     the tables, a flank that turns from the light) the one-sided difference is another number than the central one, and neither is wrong."""
     return float((np.abs(column - central) <= 0.01 * np.abs(central) + 0.01 * np.sqrt((central**2).mean())).mean()) > share
 

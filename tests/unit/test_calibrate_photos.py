@@ -159,3 +159,35 @@ def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     places = np.zeros((1, 3))
     report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
     assert ["worse than the no-contact picture does (MSE 225.0, not 100.0)" in text for text in report["warnings"]] == [True] * warned
+    # The no-contact photograph's crop is its own: here all of it is off by 10. Depths at a bound are said.
+    assert report["scores"]["no_contact_as_train"]["crop"]["mse"] == pytest.approx(100.0)
+    assert any("depth at its bound" in text for text in report["warnings"]) is False
+    places[0, 2] = 1.0
+    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
+    assert any("depth at its bound of 1 mm, the deepest that is solved: a.png; check ball_radius_mm" in text for text in report["warnings"])
+
+
+def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
+    """Errors of 5, then 3, then 4: presses that were left out of the fit judge, and the second state is the best."""
+    for index in range(8):
+        Image.open(folder / "a.png").save(folder / f"p{index}.png")
+    (folder / "presses.csv").write_text("file\n" + "".join(f"p{index}.png\n" for index in range(8)))
+    photos = read_photos(folder)
+    sensor = Parameters(np.zeros(len(GLOBALS)), np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
+    fits, errors = [], iter([5.0, 3.0, 4.0])
+
+    def fitted(job, begin, presses, *_):
+        fits.append(len(presses))
+        return run.Fitted(sensor, presses, 0.0, 1.0, 1.0, np.eye(1), 1)
+
+    monkeypatch.setattr(run, "_seed", lambda *_: (sensor, np.zeros((8, 3))))
+    monkeypatch.setattr(run.beginning, "choose_lights", lambda *_: sensor)
+    monkeypatch.setattr(run, "_fit", fitted)
+    monkeypatch.setattr(run, "_without_needless_lights", lambda job, first, rough, *_: (first, rough))
+    monkeypatch.setattr(run, "_locate", lambda job, state, presses, *_: SimpleNamespace(presses=presses))
+    monkeypatch.setattr(run, "_correction", lambda *_: (None, None))
+    monkeypatch.setattr(run, "_dent_error", lambda job, pictures, which: next(errors))
+    job: Any = SimpleNamespace(photos=photos, data=lambda *_: None, dents=None)
+    _, _, states, judged = run._states(job, 0.1, lambda *_: None)
+    assert [state.error for state in states] == [5.0, 3.0, 4.0] and min(states, key=lambda each: each.error) is states[1]
+    assert judged.tolist() == [2, 6] and fits == [6, 6, 6] and not set(judged) & set(states[1].which)
