@@ -66,7 +66,7 @@ def write_folder(data: Path, name: str, out: Path) -> None:
 
 def dots_of(picture: np.ndarray) -> np.ndarray:
     """Middles of the dark blobs (column, row) [px], shape (K, 2)."""
-    labels, count = ndimage.label(dark_pixels(picture[None].astype(float))[0])
+    labels, count = ndimage.label(dark_pixels(picture[None].astype(float))[0])  # type: ignore[misc]
     numbers = np.arange(1, count + 1)
     areas = np.asarray(ndimage.sum(labels > 0, labels, numbers), float)
     weight = 255.0 - picture.mean(axis=2)

@@ -163,9 +163,7 @@ def _rows(folder: Path, no_contact: str, sides: dict[str, int]) -> list[dict[str
             raise SceneError(f"{where}: depth_mm = {row['depth_mm']:g} mm: allowed is more than 0 mm")
         widest = max(sides.values()) / 2
         if not (math.isnan(row["contact_radius_px"]) or 0 < row["contact_radius_px"] <= widest):
-            raise SceneError(
-                f"{where}: contact_radius_px = {row['contact_radius_px']:g} px: allowed is more than 0, up to {widest:g} px"
-            )
+            raise SceneError(f"{where}: contact_radius_px = {row['contact_radius_px']:g} px: allowed is more than 0, up to {widest:g} px")
         rows.append(row)
     return rows
 
