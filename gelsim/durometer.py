@@ -338,6 +338,7 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
 
     quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
+    from gelsim.fem.planar.recording import PlanarRecorder
     from gelsim.fem.quasistatic import run_press
 
     block = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes)
@@ -360,7 +361,7 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
 
     message = ""
     try:
-        message = run_press(problem, progress=keep, throw=False).message
+        message = run_press(problem, record=PlanarRecorder, progress=keep, throw=False).message
     except _BoreEnough:
         pass
     assert scene.press.depth_mm is not None

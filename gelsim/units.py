@@ -9,8 +9,12 @@ import math
 
 MM = 1e-3
 """Metres in a millimetre."""
+MM_PER_M = 1e3
+"""Millimetres in a metre: lengths of the solver and the light are millimetres. (x / MM differs from x * MM_PER_M in the last bit.)"""
 KPA = 1e3
 """Pascals in a kilopascal."""
+KPA_PER_PA = 1e-3
+"""Kilopascals in a pascal: stresses of the solver are kilopascals."""
 DEG = math.pi / 180.0
 """Radians in a degree."""
 

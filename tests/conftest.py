@@ -12,6 +12,20 @@ from gelsim.geometry import split_faces
 from gelsim.results import Deformation, Frame, SurfaceMotion
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--regenerate",
+        action="store_true",
+        help="write golden data (tests/golden/*.npz, [expect] of scenes/*.toml) anew, not compare",
+    )
+
+
+@pytest.fixture
+def regenerate(request: pytest.FixtureRequest) -> bool:
+    """Whether golden data are to be written."""
+    return request.config.getoption("--regenerate")
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20170529)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gelsim.fem.planar.assembly import PlanarSolids
 from gelsim.fem.planar.elements import planar_quadrature
 from gelsim.fem.planar.problem import PlanarProblem
+from gelsim.fem.planar.recording import PlanarRecorder
 from gelsim.fem.problem import isochoric_constants
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import quadratic_faces
@@ -50,4 +51,4 @@ def press_of(scene: Scene, *, finer: float = 1.5, gel_end: float | None = None, 
     gel, body = mesh_profiles(scene, finer=finer, gel_end=gel_end)
     of_object = materials.object_materials(scene).get("body")
     problem = PlanarProblem(scene, gel, body, materials.gel_material(scene), of_object, depth_mm, tolerance=tolerance)
-    return problem, run_press(problem)
+    return problem, run_press(problem, record=PlanarRecorder)

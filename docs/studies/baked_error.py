@@ -34,6 +34,7 @@ from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.isp import develop
 from gelsim.optics.probes import dented_membrane
 from gelsim.optics.render import Renderer
+from gelsim.optics.variant import use_variant
 from gelsim.pipeline import stages
 from gelsim.results import Membrane
 from gelsim.scene.definition import Render, Scene
@@ -155,9 +156,10 @@ def speed(sensor: str, resolution: tuple[int, int], device: str, batch: int, rep
     Launch alone (membranes on the device); with upload and linear picture and heights on the host; the same with the 8-bit picture, its
     noise drawn; and frames of a video as `render_frames` yields them, marker centres included, one prepared while another is drawn.
     """
+    variant = choose_variant(device)
+    use_variant(variant)
     import drjit as dr
 
-    variant = choose_variant(device)
     scene = sensor_scene(sensor, resolution)
     scene = scene.replace(camera=replace(scene.camera, noise_sd=(2.0, 2.0, 2.0)))
     field = light_field(scene, variant)

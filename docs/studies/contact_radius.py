@@ -24,6 +24,7 @@ from gelsim.bench.accuracy import reference_table
 from gelsim.bench.presses import ball, hemisphere
 from gelsim.fem import touching
 from gelsim.fem.planar.problem import PlanarProblem
+from gelsim.fem.planar.recording import PlanarRecorder
 from gelsim.fem.quasistatic import run_press
 from gelsim.mesh.profiles import mesh_profiles
 from gelsim.pipeline import stages
@@ -43,7 +44,9 @@ def solve(nu: float, modulus: float | None, finer: float) -> tuple[Array, Array,
     scene = scene.replace(press=replace(scene.press, symmetry="axisymmetric"))
     of_object = materials.object_materials(scene).get("body")
     gel, body = mesh_profiles(scene, finer=finer, gel_end=DISC)
-    press = run_press(PlanarProblem(scene, gel, body, materials.gel_material(scene), of_object, None, tolerance=1e-6))
+    press = run_press(
+        PlanarProblem(scene, gel, body, materials.gel_material(scene), of_object, None, tolerance=1e-6), record=PlanarRecorder
+    )
     radius = np.sqrt(press.contact_area / np.pi) * 1e3
     print(nu, modulus, finer, press.info["unknowns"], radius.round(4), flush=True)
     return press.approach[1:], radius[1:], -press.force[1:, 2]

@@ -13,9 +13,9 @@ import time
 
 from gelsim.bench.presses import facts
 from gelsim.bench.random_scenes import draw
-from gelsim.fem import HELD, PLAIN
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
+from gelsim.fem.strategy import HELD, PLAIN
 from gelsim.pipeline import stages
 from gelsim.scene import materials
 from gelsim.scene.layers import build_scene

@@ -28,6 +28,7 @@ from gelsim.optics import bake, choose_variant, render_frames
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.probes import dented_membrane
 from gelsim.optics.render import Renderer
+from gelsim.optics.variant import use_variant
 
 
 class Unshadowed:
@@ -57,6 +58,7 @@ def noise(renderer: Renderer, membrane: Any) -> str:
 
 
 def traced(variant: Any, size: tuple[int, int], membrane: Any) -> None:
+    use_variant(variant)
     import drjit as dr
 
     for mode in ("path", "direct"):
@@ -103,6 +105,7 @@ def video(variant: Any, size: tuple[int, int], count: int = 16) -> None:
 
 
 def baked(variant: Any, size: tuple[int, int], membrane: Any) -> None:
+    use_variant(variant)
     import drjit as dr
 
     scene = bench_scene(size)

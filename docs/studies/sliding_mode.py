@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from gelsim import fem
 from gelsim.errors import SolveStatus
+from gelsim.fem import strategy
 from gelsim.fem.linear import PardisoSolver
 from gelsim.fem.newton import Newton, NewtonReport
 from gelsim.mesh import sizing
@@ -86,7 +86,7 @@ def shares(newton: Newton, mode: Array, whole: Array, plain: Array) -> tuple[flo
     touching = np.flatnonzero(contact.pressure.numpy() > 0.0)
     unit = np.eye(3)
     # relative motion of every point in contact, axis by axis
-    face, xi, normal = contact.face.numpy()[touching], contact.xi.numpy()[touching], contact.normal.numpy()[touching]
+    face, xi, normal = contact.face.numpy()[touching], contact.place.numpy()[touching, :2], contact.normal.numpy()[touching]
     move = np.column_stack(
         [
             contact._relative_motion(touching, np.tile(axis, (len(touching), 1)), face, xi, solids.equation, solids.unknowns) @ mode
@@ -127,7 +127,7 @@ def watch(solve):  # type: ignore[no-untyped-def]
 
 def main(points: int, coarser: float, on_object: bool) -> None:
     sizing.OBJECT_COARSER = coarser
-    fem.ways = lambda *_: [fem.Try(points, on_object=on_object)]
+    strategy.ways = lambda *_: [strategy.Try(points, on_object=on_object)]
     Newton.solve = watch(Newton.solve)
     scene = build_scene({
         "gel": {"profile": "flat", "youngs_modulus_kpa": 50.0, "poissons_ratio": 0.499},

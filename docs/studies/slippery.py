@@ -2,7 +2,7 @@
 
     python docs/studies/slippery.py [--friction 0] [--draws 1] [SCENE ...]
 
-Each scene is solved by either try alone (`gelsim.fem.PLAIN`, `SLIDING`), in a process that is ended after --limit seconds. With --draws N
+Each scene is solved by either try alone (`fem.strategy.PLAIN`, `SLIDING`), in a process that is ended after --limit seconds. With --draws N
 each is meshed N times anew: fTetWild draws an object's mesh by lot, and which of them a tip slides on is the question.
 """
 
@@ -38,12 +38,12 @@ SCENES: dict[str, tuple[Layer, Layer, Layer]] = {  # object, press, the rest
 
 def solve(name: str, way: str, friction: float) -> str:
     """A row's cells: how far, force, area, iterations, factorisations, seconds of the solve."""
-    from gelsim import fem
+    from gelsim.fem import strategy
     from gelsim.pipeline import stages
     from gelsim.scene.layers import build_scene
 
     body, press, rest = SCENES[name]
-    fem.ways = lambda *_: [fem.SLIDING if way == "object" else fem.PLAIN]
+    strategy.ways = lambda *_: [strategy.SLIDING if way == "object" else strategy.PLAIN]
     layer = {"object": body, "press": {"depth_mm": 1.0, "force_n": "none", "frames": 6} | press, "fidelity": "fast"}
     scene = build_scene(layer | {"contact": {"friction_coefficient": friction}, "gel": {"youngs_modulus_kpa": 50.0}} | rest)
     stages.bodies(scene)

@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.bench.closed_forms import Known
+from gelsim.bench.section import Known
 from gelsim.bench.structured import Array, box_mesh, quarter_disc
 from gelsim.fem.assembly import Solids
 from gelsim.fem.equilibrium import equilibrium, solids_of

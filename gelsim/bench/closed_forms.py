@@ -7,29 +7,11 @@ is among them as a negative control: there the verdict is that the check sees it
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import partial
 
-from gelsim.bench.section import Case, Options, Row, Section
+from gelsim.bench.section import Case, Known, Options, Row, Section
 from gelsim.errors import GelsimError, SolveStatus
-
-
-@dataclass(frozen=True)
-class Known:
-    """A number that is known."""
-
-    name: str
-    compute: Callable[[], tuple[float, float, float]]
-    """Ours, the expected one, and what their difference is compared with: the expected one, or a scale where that is zero."""
-    bound: float
-    """Of the difference over that scale."""
-    source: str
-    unit: str = ""
-    control: bool = False
-    """A faulty element: the bound must be broken."""
-    quick: bool = True
-    """Solved in seconds."""
 
 
 def known() -> Iterator[Known]:

@@ -14,9 +14,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from gelsim.bench.closed_forms import Known
 from gelsim.bench.presses import REFERENCE_GEL, SMOOTH, solved_problem
-from gelsim.bench.section import Layer
+from gelsim.bench.section import Known, Layer
 from gelsim.bench.structured import Array
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem.problem import PressProblem

@@ -21,9 +21,9 @@ import numpy as np
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.bench.structured import Array, quarter_disc
 from gelsim.errors import SolveError, SolveStatus
-from gelsim.fem import HELD
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
+from gelsim.fem.strategy import HELD
 from gelsim.geometry import TetMesh, quadratic_faces
 from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
 from gelsim.scene.materials import ElasticMaterial

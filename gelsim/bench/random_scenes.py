@@ -16,6 +16,7 @@ from gelsim.bench import presses
 from gelsim.bench.bounded import GIGABYTE, Bounded
 from gelsim.bench.section import Case, Layer, Options, Row, Section
 from gelsim.errors import PressEnd, SolveStatus
+from gelsim.scene.shape_table import SHAPES
 
 SEED = 2017
 COUNT, QUICK_COUNT = 300, 4
@@ -37,7 +38,7 @@ def draw(index: int) -> Layer:
 
     shape = str(rng.choice(["hemisphere", "cylinder", "flat", "edge", "corner"], p=[0.4, 0.3, 0.1, 0.1, 0.1]))
     body: Layer = {"shape": shape, "height_mm": between(20.0, 30.0, 1)}
-    if shape in ("hemisphere", "cylinder"):
+    if SHAPES[shape].has_radius:
         body["radius_mm"] = round(float(2.5 * 20.0 ** rng.random()), 2)  # 2.5 to 50, as many small as large
     if rng.random() < 0.08:
         body["rigid"] = True

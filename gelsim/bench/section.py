@@ -35,6 +35,23 @@ class Case:
     """The scene that `measure` solves, where it is one."""
 
 
+@dataclass(frozen=True)
+class Known:
+    """A number that theory or another code knows."""
+
+    name: str
+    compute: Callable[[], tuple[float, float, float]]
+    """Ours, the expected one, and what their difference is compared with: the expected one, or a scale where that is zero."""
+    bound: float
+    """Of the difference over that scale."""
+    source: str
+    unit: str = ""
+    control: bool = False
+    """A faulty element: the bound must be broken."""
+    quick: bool = True
+    """Solved in seconds."""
+
+
 def _unchanged(rows: list[Row]) -> list[Row]:
     return rows
 

@@ -36,7 +36,7 @@ GEOMETRY = ("away_mm", "azimuth_rad", "z_mm", "turn_rad", "elevation_rad", "log_
 VEIL_Z, VEIL_SIZE = -500.0, 150.0
 """The veil, light that comes from the sensor's inside in general, is a far square on the axis [mm]: no other light hides it."""
 
-BESIDE = 1.0
+OUT_OF_VIEW = 1.0
 """Lights that start at least so far out, in half diagonals of the field, stand beside the picture at any height; the others below the gel,
 nearer to the axis, as strips along the window's rim or in a narrow housing do."""
 NEAREST, CLEAR_MM = 0.2, 0.5
@@ -54,7 +54,7 @@ PRIORS = {
     "camera.tilt_x_rad": (0.05, -0.35, 0.35),
     "camera.tilt_y_rad": (0.05, -0.35, 0.35),
     "contact.slip": (0.5, 0.0, 1.0),
-    "away_mm": (0.5, BESIDE, 5.0),  # relative to half the field's diagonal: beside the picture
+    "away_mm": (0.5, OUT_OF_VIEW, 5.0),  # relative to half the field's diagonal: beside the picture
     "azimuth_rad": (0.5, -10.0, 10.0),
     "z_mm": (0.4, -2.5, -0.04),  # likewise
     "turn_rad": (0.3, -1.0, 1.0),
@@ -107,7 +107,7 @@ class Parameters:
         rows = [PRIORS[name] for name in GLOBALS]
         scale = self.globals[0]
         rows[0] = tuple(scale * part for part in rows[0])
-        below = self.geometry[:, 0] < BESIDE * self.half_field_mm
+        below = self.geometry[:, 0] < OUT_OF_VIEW * self.half_field_mm
         inner = GLOBALS.index("gel.thickness_mm")
         if below.any():
             # No thicker than leaves the lights below it their place.
@@ -121,7 +121,7 @@ class Parameters:
     def _light_prior(self, name: str, below: bool) -> tuple[float, float, float]:
         sd, low, high = PRIORS[name]
         if below and name == "away_mm":
-            low, high = NEAREST, BESIDE
+            low, high = NEAREST, OUT_OF_VIEW
         if below and name == "z_mm":
             high = -(self.globals[GLOBALS.index("gel.thickness_mm")] + CLEAR_MM) / self.half_field_mm
         scale, shift = self.half_field_mm, np.log(self.half_field_mm)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gelsim.calibrate import model
 from gelsim.calibrate.dent import SHALLOWEST, Dents
 from gelsim.calibrate.fit import Data, Evaluation, Fitted
-from gelsim.calibrate.parameters import BESIDE, CLEAR_MM, Parameters
+from gelsim.calibrate.parameters import CLEAR_MM, OUT_OF_VIEW, Parameters
 from gelsim.optics.rest import UPPER
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def candidates(half_field_mm: float, thickness_mm: float) -> Array:
     lights = []
     for distance in half_field_mm * np.array([0.7, 1.05, 1.5, 2.2]):
         for elevation in np.radians([5.0, 12.0, 22.0, 35.0, 50.0]):
-            below = distance * np.cos(elevation) < BESIDE * half_field_mm
+            below = distance * np.cos(elevation) < OUT_OF_VIEW * half_field_mm
             if below and distance * np.sin(elevation) < thickness_mm + CLEAR_MM:
                 continue
             for azimuth in np.arange(24) * (2 * np.pi / 24):

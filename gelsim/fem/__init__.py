@@ -1,5 +1,5 @@
-"""Contact finite elements: gel and object, solved together. `solve_press`, `solve_batch` and `differentiate_press` are the doors; the rest
-is behind them."""
+"""Contact finite elements: gel and object, solved together. `rigid_placement`, `solve_press`, `solve_batch` and `differentiate_press` are
+the doors; the rest is behind them."""
 
 from __future__ import annotations
 
@@ -7,58 +7,23 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import SolveStatus
 from gelsim.geometry import PlanarMesh, QuadraticSurface, TetMesh
 from gelsim.results import Deformation, PressSensitivity
-from gelsim.scene.definition import Body, Scene
+from gelsim.scene.definition import Scene
 
 if TYPE_CHECKING:
     from gelsim.fem.batch import Costs
     from gelsim.fem.problem import PressProblem
     from gelsim.fem.quasistatic import Course
-
-
-@dataclass(frozen=True)
-class Try:
-    """One way to solve a press."""
-
-    contact_points: int = 6
-    """Quadrature points on a face."""
-    on_object: bool = False
-    """The points are those of the object's faces and look for the gel's, not the other way round."""
-    held: float = 0.0
-    """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
-    most_wasted: int | None = None
-    """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
-    friction: tuple[float, float] | None = None
-    """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
-    goes_on: bool = False
-    """Begins where the try before it ended, not at rest."""
-
-
-STICK = 10.0
-"""μ that stands for sticking where that failed: without any bound a point that lifts off drops its whole traction at once, and where a
-step's solution lies on that jump Newton finds none."""
-GRIP = 0.3
-"""μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
-SOON = 30
-"""Failed iterations after which another try goes on from where one stands: some two solves."""
-PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
-NUDGE = 0.003
-"""μ that holds a smooth tip in its place which nothing else holds; of the normal force it changes a thousandth or so."""
-SLIDING = Try(12, on_object=True)
-"""The first try of a smooth soft object that nothing holds sideways, and of a ring or a block with waves that friction holds: few of the
-gel's points on each of its smaller faces warp these, and their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*,
-*Presses that stumble*)."""
-NUDGED = replace(SLIDING, friction=(NUDGE, STICK), goes_on=True)
+    from gelsim.fem.strategy import Try
 
 
 @cache
@@ -78,6 +43,14 @@ def quiet_warp() -> None:
             os.close(kept)
             said.seek(0)
             os.write(2, b"".join(line for line in said if b"Could not find or load the NVIDIA CUDA driver" not in line))
+
+
+def rigid_placement(scene: Scene, surface: QuadraticSurface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where a rigid object, its edges rounded, first touches the gel (`field.placement`)."""
+    quiet_warp()
+    from gelsim.fem.field import placement
+
+    return placement(scene, surface)
 
 
 def solve_press(
@@ -111,84 +84,21 @@ def solve_press(
     quiet_warp()
     from gelsim.fem.batch import run_batch
     from gelsim.fem.quasistatic import run_press
+    from gelsim.fem.strategy import tries
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    tries = _tries(scene, gel.symmetry, enough)
-    way, course = next(tries)
+    marching = tries(scene, gel.symmetry, enough)
+    way, course = next(marching)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
-        problem.course = course
         if name != "cpu" and problem.memory is None and solves_on_gpu():
-            press = run_batch([problem], states=progress)[0]
+            press = run_batch([problem], courses=[course], states=progress)[0]
         else:
-            press = run_press(problem, progress=progress, throw=False)
+            press = run_press(problem, course=course, progress=progress, throw=False)
         try:
-            way, course = tries.send(press)
+            way, course = marching.send(press)
         except StopIteration as end:
             return end.value
-
-
-def _tries(
-    scene: Scene, symmetry: frozenset[str], enough: Callable[[Deformation], bool] | None = None
-) -> Generator[tuple[Try, Course], Deformation, Deformation]:
-    """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
-
-    Where the approach of a force was found in several tries, all begin again to record the way there.
-    """
-    from gelsim.fem.quasistatic import Course
-
-    course, best, number, left, turns = Course(), None, 0, ways(scene, symmetry), []
-    while left:
-        way, *left = left
-        if not way.goes_on:
-            if best is not None and enough is not None and enough(best):
-                break
-            course.before, turns = None, []
-        elif course.before is None:
-            continue
-        turns.append((way, 0.0 if course.before is None else 1e3 * course.before.approach))
-        number, course.followed = number + 1, bool(left) and left[0].goes_on
-        press = yield way, course
-        _note(press, scene, turns, number)
-        if course.searched:
-            course.searched, left, best = False, ways(scene, symmetry), None
-            continue
-        best = further(best, press)
-        if not press.lost:
-            break
-    assert best is not None
-    return best
-
-
-def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
-    """The tries that a scene may have, one after the other until one reaches its end; `symmetry`: the planes that its meshes are cut at."""
-    friction = scene.contact.friction_coefficient
-    if isinstance(friction, str) or (scene.object.rigid and friction >= GRIP):
-        return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD]
-    if friction < GRIP:
-        first = [PLAIN]
-        if _slides(scene.object, symmetry):
-            nudged = [replace(SLIDING, most_wasted=SOON), NUDGED] if friction < NUDGE else [SLIDING]
-            first = [*nudged, replace(PLAIN, goes_on=True)]
-        return [*first, replace(HELD, goes_on=True, most_wasted=SOON), HELD, GRIPPED]
-    first = [SLIDING, PLAIN] if _uneven(scene.object) else [PLAIN, replace(PLAIN, on_object=True)]
-    gels, objects = HELD, replace(HELD, on_object=True)
-    on = [replace(way, goes_on=number > 0, most_wasted=SOON) for number, way in enumerate([*first, gels, objects])]
-    return [*on, gels, *(replace(way, goes_on=True, most_wasted=SOON) for way in (objects, gels)), objects]
-
-
-def _slides(body: Body, symmetry: frozenset[str]) -> bool:
-    """Whether a smooth soft object's tip finds its place on the gel by itself where there is hardly any friction to hold it."""
-    from gelsim.shape.shapes import sharp_edges
-
-    return not body.rigid and not symmetry >= {"x", "y"} and not len(sharp_edges(body))
-
-
-def _uneven(body: Body) -> bool:
-    """Whether an object has waves of its own, or is a ring: its small faces bend more than the gel's."""
-    from gelsim.shape.shapes import fine_feature
-
-    return fine_feature(body) < np.inf
 
 
 def _problem(
@@ -196,13 +106,14 @@ def _problem(
 ) -> PressProblem:
     """A press as a try discretises it; `patient` None: where volume is held from rest on."""
     from gelsim.fem.problem import PressProblem
+    from gelsim.fem.strategy import tried
     from gelsim.scene.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     remembers = any(material.prony for material in (of_gel, *of_object))  # then no other try goes on from this one
     made: dict[str, Any] = {} if way.most_wasted is None or remembers else {"most_wasted": way.most_wasted}
     return PressProblem(
-        _tried(scene, way),
+        tried(scene, way),
         gel,
         body,
         placement,
@@ -216,46 +127,6 @@ def _problem(
         patient=(way.held > 0.0 and not way.goes_on) if patient is None else patient,
         **made,
     )
-
-
-def _tried(scene: Scene, way: Try) -> Scene:
-    """The scene as it is solved."""
-    if way.friction is None:
-        return scene
-    asked, (least, stick) = scene.contact.friction_coefficient, way.friction
-    friction = max(asked, least) if isinstance(asked, float | int) else stick
-    return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
-
-
-def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> None:
-    """Tells in a press's info which try it is, and which led there: each with the approach [mm] that it went on from."""
-    way = turns[-1][0]
-    press.info["tried"] = number
-    press.info["contact_points"], press.info["contact_points_on"] = way.contact_points, "object" if way.on_object else "gel"
-    if len(turns) > 1:
-        press.info["went_on_from_mm"] = [round(start, 4) for _, start in turns[1:]]
-    # those after a try with held volume have it too
-    since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
-    if way.held > 0.0:
-        told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
-        press.warn(f"did not reach its end at first: solved {told}")
-    asked = scene.contact.friction_coefficient
-    solved = [_tried(scene, turn).contact.friction_coefficient for turn, _ in turns]
-    press.info["friction_coefficient"] = solved[-1]
-    if other := [number for number, friction in enumerate(solved) if friction != asked]:
-        start, after = turns[other[0]][1], other[-1] + 1
-        where = f" from {start:.4g} mm on" if start else ""
-        if after < len(turns):
-            where = f" from {start:.4g} to {turns[after][1]:.4g} mm"
-        instead = " and ".join(dict.fromkeys(f"{solved[number]:g}" for number in other))
-        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {instead} instead{where}")
-
-
-def further(before: Deformation | None, press: Deformation) -> Deformation:
-    """Of two tries of one press the one to return."""
-    if before is None:
-        return press
-    return max(before, press, key=lambda one: (not one.lost, one.status is SolveStatus.CONVERGED, one.approach[-1]))
 
 
 def solves_on_gpu() -> bool:
@@ -287,10 +158,11 @@ def solve_batch(
     """
     quiet_warp()
     from gelsim.fem.batch import run_batch
+    from gelsim.fem.strategy import tries
 
     done: dict[int, Deformation] = {}
-    tries = [_tries(scene, gel.symmetry) for scene, gel, *_ in bodies]
-    asked = {number: next(one) for number, one in enumerate(tries)}
+    marching = [tries(scene, gel.symmetry) for scene, gel, *_ in bodies]
+    asked = {number: next(one) for number, one in enumerate(marching)}
     while asked:
         groups: dict[Try, dict[int, tuple[Try, Course]]] = {}
         for number, (way, course) in asked.items():
@@ -298,17 +170,17 @@ def solve_batch(
         left, asked = len(asked), {}
         for several in groups.values():
             problems, start = [], time.perf_counter()
-            for number, (way, course) in several.items():
+            for number, (way, _) in several.items():
                 scene, gel, body, placement = bodies[number]
                 problems.append(_problem(way, scene, gel, body, placement, device))
-                problems[-1].course = course
             if costs is not None:
                 costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
+            courses = [course for _, course in several.values()]
             told = None if progress is None else partial(_told, progress, len(bodies) - left, len(bodies))
             left -= len(several)
-            for number, press in zip(several, run_batch(problems, progress=told, costs=costs), strict=True):
+            for number, press in zip(several, run_batch(problems, courses=courses, progress=told, costs=costs), strict=True):
                 try:
-                    asked[number] = tries[number].send(press)
+                    asked[number] = marching[number].send(press)
                 except StopIteration as end:
                     done[number] = end.value
     return [done[number] for number in range(len(bodies))]
@@ -341,6 +213,8 @@ def differentiate_press(
     from gelsim.scene.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
+    from gelsim.fem.strategy import ways
+
     alone = replace(ways(scene, gel.symmetry)[0], most_wasted=None)  # there is no other to go on from it
     problem = _problem(alone, scene, gel, body, placement, "cpu", patient=True)
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
@@ -365,8 +239,9 @@ def solve_planar(
     """
     quiet_warp()
     from gelsim.fem.planar.problem import PlanarProblem
+    from gelsim.fem.planar.recording import PlanarRecorder
     from gelsim.fem.quasistatic import run_press
     from gelsim.scene.materials import gel_material, object_materials
 
     problem = PlanarProblem(scene, gel, body, gel_material(scene), object_materials(scene).get("body"), depth_mm)
-    return run_press(problem, progress=progress, throw=throw)
+    return run_press(problem, record=PlanarRecorder, progress=progress, throw=throw)

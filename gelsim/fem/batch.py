@@ -38,7 +38,7 @@ from gelsim.fem.newton import (
 )
 from gelsim.fem.pattern import PairPattern, SymmetricPattern, build_pattern, pair_keys
 from gelsim.fem.problem import PressProblem
-from gelsim.fem.quasistatic import Request, march_press
+from gelsim.fem.quasistatic import Course, Request, march_press
 from gelsim.results import Deformation
 
 Array = NDArray[np.float64]
@@ -93,19 +93,20 @@ def capture(launches: Callable[[], None], device: str) -> Callable[[], None]:
 
 
 def run_batch(
-    problems: Sequence[PressProblem], *, progress: Callable[[int, int], None] | None = None,
+    problems: Sequence[PressProblem], *, courses: Sequence[Course] = (), progress: Callable[[int, int], None] | None = None,
     states: Callable[[int, int], None] | None = None, costs: Costs | None = None,
 ) -> list[Deformation]:  # fmt: skip
     """Solves presses whose meshes have the same elements; a press that fails says so in its `status`.
 
     Args:
+        courses: Of each press, where it has several tries, what this one goes on from and what it leaves.
         progress: Called with (presses done, presses).
         states: Called with (states recorded, states wanted) of the first press.
         costs: Filled with where the time went.
     Raises:
         ValueError: The meshes differ.
     """
-    batch = _Batch(problems, costs)
+    batch = _Batch(problems, costs, courses)
     with single_threaded_blas():
         return batch.run(progress, states)
 
@@ -131,8 +132,8 @@ class _Residual:
 class _Batch:
     """The scenes' common arrays, and where each scene's Newton stands."""
 
-    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None) -> None:
-        self.costs = costs
+    def __init__(self, problems: Sequence[PressProblem], costs: Costs | None, courses: Sequence[Course] = ()) -> None:
+        self.costs, self.courses = costs, courses or [Course() for _ in problems]
         first = problems[0]
         for problem in problems:
             same = (problem.solids.tets, first.solids.tets), (problem.solids.free, first.solids.free)
@@ -184,7 +185,8 @@ class _Batch:
 
     def run(self, progress: Callable[[int, int], None] | None, states: Callable[[int, int], None] | None) -> list[Deformation]:
         """Drives all marches to their ends."""
-        marches = [march_press(problem, None if number else states) for number, problem in enumerate(self.problems)]
+        told = [states, *[None] * (self.count - 1)]
+        marches = [march_press(*each, progress=one) for *each, one in zip(self.problems, self.courses, told, strict=True)]
         done: list[Deformation | None] = [None] * self.count
         for scene, march in enumerate(marches):
             self._take(scene, next(march))

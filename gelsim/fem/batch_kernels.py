@@ -44,8 +44,8 @@ def balance(
     jacobian: wp.array(dtype=wp.float64), elements: wp.int32, lanes: wp.int32, step: wp.array(dtype=wp.float64),
     residual: wp.array(dtype=wp.float64), sizes: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """The equations; of each scene's lane the largest unbalanced, contact and internal force, volume error, -det F, 1 where something is
-    not finite, and the work of the forces on `step` (see `work`)."""
+    """The equations; of each scene's lane the largest unbalanced, contact (on free nodes) and internal force, volume error, -det F, 1 where
+    something is not finite, and the work of the forces on `step` (see `work`)."""
     lane = wp.tid()
     scene = lane // lanes
     unbalanced = wp.float64(0.0)
@@ -64,9 +64,9 @@ def balance(
                 residual[equation[i, c]] = force
                 done += force * step[equation[i, c]]
                 unbalanced = wp.max(unbalanced, wp.abs(force))
+                contact = wp.max(contact, wp.abs(external[i][c]))
                 if not wp.isfinite(force):
                     broken = wp.float64(1.0)
-            contact = wp.max(contact, wp.abs(external[i][c]))
             inside = wp.max(inside, wp.abs(internal[i][c]))
         if equation[i, 3] >= 0:
             residual[equation[i, 3]] = volume[i]

@@ -22,9 +22,9 @@ which resists a reversal of the slip as well.
 Who is which: the master's normals should turn little from face to face. Over an object's sharp tip, whose flanks face away from each
 other, the gel's points find one flank or the other and forces jump; the tip's points on the gel's faces have one normal. And there should
 be many points on each of the master's faces, which warp between them: where nothing else holds a tip, it slides. Else the gel's points are
-the better ones, as they know where contact ends on the surface that the camera sees (`fem.ways` chooses).
+the better ones, as they know where contact ends on the surface that the camera sees (`fem.strategy.ways` chooses).
 
-A rigid object is the same surface with all its nodes prescribed. Left out: self-contact, adhesion, points of both surfaces at once
+A rigid object is no surface but a distance (`RigidContact`, field.py). Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ from gelsim.fem.contact_kernels import (
     closest_points,
     contact_force,
     contact_tangent,
+    field_gaps,
     friction_force,
     friction_tangent,
     place_points,
@@ -54,6 +55,7 @@ from gelsim.fem.contact_kernels import (
     vec6d,
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
+from gelsim.fem.field import DistanceField
 from gelsim.fem.pattern import PairPattern
 from gelsim.geometry import split_faces
 
@@ -69,9 +71,9 @@ _SUB_CORNERS = np.array(
 
 
 # Arrays of SurfaceContact with an entry a point that change, and that do not (stiffnesses: an entry a face).
-_STATE = ("face", "xi", "normal", "gap", "pressure", "traction", "shift", "anchor_face", "anchor_xi", "multiplier")
+_STATE = ("face", "place", "normal", "gap", "pressure", "traction", "shift", "anchor_face", "anchor_place", "multiplier")
 _CONSTANTS = ("weight", "stiffness", "stick")
-_PLACES = ("face", "xi", "gap", "anchor_face", "anchor_xi")  # of a ContactState
+_PLACES = ("face", "place", "gap", "anchor_face", "anchor_place")  # of a ContactState
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,10 @@ class ContactState:
     """
 
     face: wp.array
-    xi: wp.array
+    place: wp.array
     gap: wp.array
     anchor_face: wp.array
-    anchor_xi: wp.array
+    anchor_place: wp.array
     multipliers: Array
     """(V, 4), at the slave's face vertices."""
     kept: Array
@@ -139,6 +141,7 @@ class SurfaceContact:
 
     CORNERS = 3
     """Vertices of a face; its other nodes are in the middle of its sides."""
+    STATE = _STATE
 
     def __init__(self, slave_faces: NDArray[np.int32], master_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
                  points: int = 6, symmetry: frozenset[str] = frozenset(), ends: bool = False) -> None:  # fmt: skip
@@ -157,12 +160,13 @@ class SurfaceContact:
         self.master = array(master_faces, wp.int32)
         self.ends = array(_border_sides(rest, master_faces, symmetry) if ends else np.zeros(len(master_faces)), wp.int32)
         self.shape = array(self.shape_values, vec6d)
+        self.own = array(bary[:, 1:], wp.vec2d)
         self.weight = array(self.rest_weight, wp.float64)
         self.corners = array(_SUB_CORNERS, wp.vec2d)
         self.scenes, self.nodes = 1, len(rest)
         self._tree: wp.Mesh | None = None  # grown at first use, where the bodies are: refitting keeps its order
         self.face = wp.full(count, -1, dtype=wp.int32, device=device)
-        self.xi = wp.zeros(count, dtype=wp.vec2d, device=device)
+        self.place = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.normal = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.gap = wp.full(count, 1e9, dtype=wp.float64, device=device)
         self.pressure = wp.zeros(count, dtype=wp.float64, device=device)
@@ -170,7 +174,7 @@ class SurfaceContact:
         self.stick = array(law.stick_stiffness / np.sqrt(face_area), wp.float64)
         self.shift = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
-        self.anchor_xi = wp.zeros(count, dtype=wp.vec2d, device=device)
+        self.anchor_place = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.multiplier = wp.zeros(count, dtype=wp.float64, device=device)
         self.stiffness = array(law.stiffness / np.sqrt(face_area), wp.float64)
         self.vertices, local = np.unique(slave_faces[:, :3], return_inverse=True)
@@ -190,6 +194,7 @@ class SurfaceContact:
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.kept = np.zeros((count, 3))
         """Traction on the slave [kPa] beyond the multipliers, of every point."""
+        self.bend = wp.zeros(1, dtype=wp.mat33d, device=device)
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
         self._share()
 
@@ -211,11 +216,11 @@ class SurfaceContact:
         joint.scenes = len(contacts)
         joint.__dict__.pop("_corners", None)
         joint._tree = None
-        for name in _STATE + _CONSTANTS:
+        for name in joint.STATE + _CONSTANTS:
             arrays = [getattr(contact, name) for contact in contacts]
             whole, length = join_arrays(arrays), len(arrays[0])
             setattr(joint, name, whole)
-            for number, contact in enumerate(contacts) if name in _STATE else ():
+            for number, contact in enumerate(contacts) if name in joint.STATE else ():
                 setattr(contact, name, whole[number * length : (number + 1) * length])
         joint._share()
         joint.friction.assign([contact.law.friction for contact in contacts])
@@ -235,9 +240,9 @@ class SurfaceContact:
     def frictional(self) -> bool:
         return self.law.friction != 0.0
 
-    def _master_shape(self, xi: Array) -> Array:
-        """Shape functions of the master's faces at places ξ (K, 2)."""
-        return tri6_shape(np.column_stack([1 - xi.sum(1), xi]))
+    def _master_shape(self, place: Array) -> Array:
+        """How much the six nodes of the master's faces move places (K, 3), ξ and a 0."""
+        return tri6_shape(np.column_stack([1 - place.sum(1), place[:, :2]]))
 
     def _launch(self, kernel: wp.Kernel, *inputs: object) -> None:
         """One thread a quadrature point; every kernel begins with the slave's faces and their shape functions."""
@@ -260,17 +265,17 @@ class SurfaceContact:
             self._tree = wp.Mesh(points=points, indices=triangles)
         else:
             self._tree.refit()
-        pairing = [self.overhang, self.face, self.xi, self.normal, self.gap]
-        self._launch(closest_points, x, self._tree.id, self.master, self.corners, self.ends, reach, *pairing)
+        pairing = [self.overhang, self.face, self.place, self.normal, self.gap]
+        self._launch(closest_points, x, self._tree.id, self.master, self.corners, self.ends, reach, self.own, *pairing)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""
-        pairing = [self.weight, self.master, self.face, self.xi, self.normal, self.gap]
+        pairing = [self.weight, self.master, self.face, self.place, self.normal, self.gap]
         return [*pairing, self.multiplier, self.stiffness, self.law.smoothing]
 
     def _friction_inputs(self) -> list[object]:
         """What the kernels of friction share."""
-        pairing = [self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_xi]
+        pairing = [self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_place]
         return [*pairing, self.shift, self.friction, self.stick]
 
     def add_force(self, x: wp.array, force: wp.array) -> None:
@@ -292,7 +297,7 @@ class SurfaceContact:
 
     def add_stiffness(self, x: wp.array, pattern: PairPattern, values: wp.array) -> None:
         """`add_tangent` with the `geometric` that stands; sets `missing` where the pattern lacks a pair."""
-        self._launch(contact_tangent, x, *self._normal_inputs(), self.geometric, pattern, values, self.missing)
+        self._launch(contact_tangent, x, *self._normal_inputs(), self.bend, self.geometric, pattern, values, self.missing)
         if self.frictional:
             self._launch(friction_tangent, x, *self._friction_inputs(), self.geometric, pattern, values, self.missing)
 
@@ -314,22 +319,22 @@ class SurfaceContact:
         slope = k * np.clip(s / law.smoothing, 0.0, 1.0)
         direction = -traction[slipping] / size[slipping, None]
         normal = self.normal.numpy()[slipping]
-        places = self.anchor_face.numpy()[slipping], self.anchor_xi.numpy()[slipping]
+        places = self.anchor_face.numpy()[slipping], self.anchor_place.numpy()[slipping]
         along = self._relative_motion(slipping, direction, *places, equation, unknowns)
         weight = self.rest_weight[slipping] * law.friction * slope
-        closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.xi.numpy()[slipping], equation, unknowns)
+        closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.place.numpy()[slipping], equation, unknowns)
         return along, closing
 
     def gap_gradient(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
         """∂g of paired points with respect to the unknowns, (P, unknowns): the foot lies along n, so its place does not count."""
-        face, xi, normal = self.face.numpy()[points], self.xi.numpy()[points], self.normal.numpy()[points]
-        return self._relative_motion(points, normal, face, xi, equation, unknowns)
+        face, place, normal = self.face.numpy()[points], self.place.numpy()[points], self.normal.numpy()[points]
+        return self._relative_motion(points, normal, face, place, equation, unknowns)
 
-    def _relative_motion(self, points: NDArray[np.integer], vector: Array, face: NDArray[np.int32], xi: Array,
+    def _relative_motion(self, points: NDArray[np.integer], vector: Array, face: NDArray[np.int32], place: Array,
                          equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:  # fmt: skip
-        """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place ξ on a master's face)."""
+        """Matrix (P, unknowns) that takes displacements to vector·(motion of the point less that of the place on the master)."""
         nodes = np.concatenate([self.slave_faces[points // self.points], self.master_faces[face]], axis=1)
-        weights = np.concatenate([self.shape_values[points % self.points], -self._master_shape(xi)], axis=1)
+        weights = np.concatenate([self.shape_values[points % self.points], -self._master_shape(place)], axis=1)
         columns = equation[nodes, :3]
         values = weights[:, :, None] * vector[:, None, :]
         free = columns >= 0
@@ -339,7 +344,7 @@ class SurfaceContact:
     def add_slip_product(self, equation: wp.array, v: wp.array, out: wp.array) -> None:
         """Adds the product of the matrix that `slip_coupling` gives as factors with v to `out`, where `geometric` stands."""
         if self.frictional:
-            slipping = [self.pressure, self.traction, self.anchor_face, self.anchor_xi, self.friction, self.geometric]
+            slipping = [self.pressure, self.traction, self.anchor_face, self.anchor_place, self.friction, self.geometric]
             self._launch(slip_product, *self._normal_inputs(), *slipping, equation, v, out)
 
     def slip(self, x: wp.array) -> Array:
@@ -349,9 +354,9 @@ class SurfaceContact:
         """
         anchor, normal, now = self.anchor_face.numpy(), self.normal.numpy(), x.numpy()
         held = np.flatnonzero((anchor >= 0) & (self.traction.numpy() != 0.0).any(axis=1))
-        xi = self.anchor_xi.numpy()[held]
+        anchored = self.anchor_place.numpy()[held]
         place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.slave_faces[held // self.points]])
-        touched = np.einsum("qn,qni->qi", self._master_shape(xi), now[self.master_faces[anchor[held]]])
+        touched = np.einsum("qn,qni->qi", self._master_shape(anchored), now[self.master_faces[anchor[held]]])
         along = place - touched
         found = np.zeros((len(anchor), 3))
         found[held] = along - (along * normal[held]).sum(axis=1, keepdims=True) * normal[held]
@@ -368,7 +373,7 @@ class SurfaceContact:
             self.kept = traction - self._at_points(self.multipliers[:, 1:])
             self.shift.assign(-traction)
         self.anchor_face.assign(self.face)
-        self.anchor_xi.assign(self.xi)
+        self.anchor_place.assign(self.place)
 
     def set_multipliers(self, at_vertices: Array) -> None:
         """Sets λ and λ_t [kPa] at the slave's face vertices, (V, 4); negative pressure becomes 0."""
@@ -410,15 +415,15 @@ class SurfaceContact:
 
     def pairing(self) -> tuple[wp.array, wp.array, wp.array]:
         """Who touches where, as `update` left it and goes on from: kept faces depend on it."""
-        return wp.clone(self.face), wp.clone(self.xi), wp.clone(self.gap)
+        return wp.clone(self.face), wp.clone(self.place), wp.clone(self.gap)
 
     def copy_pairing(self, kept: tuple[wp.array, wp.array, wp.array]) -> None:
         """Writes the present pairing over an earlier one."""
-        for array, into in zip((self.face, self.xi, self.gap), kept, strict=True):
+        for array, into in zip((self.face, self.place, self.gap), kept, strict=True):
             wp.copy(into, array)
 
     def set_pairing(self, pairing: tuple[wp.array, wp.array, wp.array]) -> None:
-        for array, kept in zip((self.face, self.xi, self.gap), pairing, strict=True):
+        for array, kept in zip((self.face, self.place, self.gap), pairing, strict=True):
             wp.copy(array, kept)
 
     def save(self) -> ContactState:
@@ -452,7 +457,7 @@ class SurfaceContact:
         else:
             now, face = x.numpy(), self.face.numpy()
             points = np.flatnonzero(face >= 0)
-            xi, face = self.xi.numpy()[points], face[points]
+            xi, face = self.place.numpy()[points, :2], face[points]
             bary = np.maximum(np.column_stack([1 - xi.sum(1), xi]), 0.0)  # a point may lie a little beside its face
             bary /= bary.sum(1, keepdims=True)
             own, there = self.slave_faces[points // self.points], self.master_faces[face]
@@ -462,7 +467,7 @@ class SurfaceContact:
             tractions[points] = given * [1, -1, -1, -1]
             self._project(tractions if self.frictional else tractions[:, :1])
         self.anchor_face.assign(self.face)
-        self.anchor_xi.assign(self.xi)
+        self.anchor_place.assign(self.place)
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Node pairs (slave, master) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
@@ -489,3 +494,39 @@ class SurfaceContact:
 
         corners = incidence(self.master_faces[:, : self.CORNERS])
         return incidence(self.slave_faces).T.tocsr(), corners @ corners.T @ incidence(self.master_faces)
+
+
+class RigidContact(SurfaceContact):
+    """The slave's faces against a rigid body, which is a signed distance (field.py) and moves as a whole.
+
+    `corners` are nodes of a tetrahedron that moves with it: the origin of its frame and the places SIDE along its axes. A place on the body
+    is counted in them.
+    """
+
+    STATE = (*_STATE, "bend")
+    SIDE = 10.0
+    """[mm]"""
+
+    def __init__(self, slave_faces: NDArray[np.int32], corners: NDArray[np.integer], rest: Array, field: DistanceField, law: ContactLaw,
+                 device: str, points: int = 6, symmetry: frozenset[str] = frozenset()) -> None:  # fmt: skip
+        whole = np.array([[*corners, corners[-1], corners[-1]]], np.int32)
+        super().__init__(slave_faces, whole, rest, law, device, points, symmetry)
+        self.bend = wp.zeros(len(self.weight), dtype=wp.mat33d, device=device)
+        self.field = field.grid(device)
+
+    def _share(self) -> None:
+        super()._share()
+        self.layout.rigid = True
+
+    def _master_shape(self, place: Array) -> Array:
+        return body_shares(place)
+
+    def find(self, x: wp.array, reach: float) -> None:
+        """Gaps of all points that lie on the field's grid, whatever `reach`."""
+        pairing = [self.face, self.place, self.normal, self.gap, self.bend]
+        self._launch(field_gaps, x, self.master, self.field, wp.float64(self.SIDE), *pairing)
+
+
+def body_shares(place: Array) -> Array:
+    """How much the six nodes (`RigidContact`: four corners, the last of them three times) move places (K, 3) of a rigid body."""
+    return np.column_stack([1 - place.sum(1), place, np.zeros((len(place), 2))])

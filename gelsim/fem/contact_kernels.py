@@ -8,20 +8,32 @@ from __future__ import annotations
 
 import warp as wp
 
+from gelsim.fem.field import FieldGrid, read_field
 from gelsim.fem.pattern import PairPattern, add_block, pair_offset
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
+
+# Cosine between outward normals above which surfaces do not face each other.
+FACING = wp.constant(wp.float64(-0.1))
+
+# Least slope that counts as one: where flanks face each other a distance's is 0 halfway between them.
+FLATTEST = wp.constant(wp.float64(0.2))
 
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
 
 
 @wp.struct
 class Layout:
-    """How points and nodes are numbered: `points` a face, `faces` that have points and `nodes` of both bodies a scene."""
+    """How points and nodes are numbered: `points` a face, `faces` that have points and `nodes` of both bodies a scene.
+
+    `rigid`: the master is no surface of faces but a body that moves as a whole, "face" 0 of which are the corners of a tetrahedron
+    (the last of them three times) in which places are counted.
+    """
 
     points: wp.int32
     faces: wp.int32
     nodes: wp.int32
+    rigid: wp.bool
 
 
 # Scenes are queried in one tree of triangles, this far from each other [mm].
@@ -89,6 +101,21 @@ def tri6_d2(xi: wp.vec2d) -> vec6d:
     one = wp.float64(1.0)
     four = wp.float64(4.0)
     return vec6d(one - four * a, wp.float64(0.0), four * c - one, -four * b, four * b, four * (a - c))
+
+
+@wp.func
+def flat(place: wp.vec3d) -> wp.vec2d:
+    """Of a place on a face its ξ."""
+    return wp.vec2d(place[0], place[1])
+
+
+@wp.func
+def shares(layout: Layout, place: wp.vec3d) -> vec6d:
+    """How much each of the master's six nodes moves the place."""
+    if layout.rigid:
+        zero = wp.float64(0.0)
+        return vec6d(wp.float64(1.0) - place[0] - place[1] - place[2], place[0], place[1], place[2], zero, zero)
+    return tri6(flat(place))
 
 
 @wp.func
@@ -169,8 +196,8 @@ def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32
 def closest_points(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), ends: wp.array(dtype=wp.int32),
-    reach: wp.float32,
-    overhang: wp.array(dtype=wp.float64), face: wp.array(dtype=wp.int32), xi_out: wp.array(dtype=wp.vec2d),
+    reach: wp.float32, points: wp.array(dtype=wp.vec2d),
+    overhang: wp.array(dtype=wp.float64), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
@@ -184,7 +211,7 @@ def closest_points(
     base = scene_of(layout, i) * layout.nodes
     position = on_face(x, base, slave, slave_face(layout, i), shape[i % layout.points])
     f = face[i]
-    xi = xi_out[i]
+    xi = flat(place[i])
     kept = bool(False)
     near = NEAR
     allowed = OVERHANG
@@ -218,19 +245,56 @@ def closest_points(
     r = position - on_face(x, base, master, f, tri6(xi))
     d = wp.length(r)
     g = wp.dot(r, n)
-    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it
-    if clamped and g < wp.float64(0.0) and -g < wp.float64(0.7) * d:
-        g = d
+    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it; and at an
+    # acute corner it is a flank's, behind which the point lies though the surfaces do not face each other
+    if g < wp.float64(0.0):
+        own = slave_face(layout, i)
+        at = points[i % layout.points]
+        facing = wp.dot(n, wp.normalize(wp.cross(on_face(x, base, slave, own, tri6_d1(at)), on_face(x, base, slave, own, tri6_d2(at)))))
+        if facing > FACING or (clamped and -g < wp.float64(0.7) * d):
+            g = d
     face[i] = f
-    xi_out[i] = xi
+    place[i] = wp.vec3d(xi[0], xi[1], wp.float64(0.0))
     normal[i] = n
     gap[i] = g
 
 
 @wp.kernel(enable_backward=False)
+def field_gaps(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
+    master: wp.array2d(dtype=wp.int32), field: FieldGrid, side: wp.float64,
+    face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d), normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
+    bend: wp.array(dtype=wp.mat33d),
+):  # fmt: skip
+    """Gaps to a rigid body, where they are found on it, and ∇n (equations: field.py); beyond its grid a point touches nothing.
+
+    The body's frame is that of a tetrahedron whose first corner is its origin and whose other three lie `side` [mm] along its axes.
+    """
+    i = wp.tid()
+    base = scene_of(layout, i) * layout.nodes
+    face[i] = -1
+    gap[i] = wp.float64(1.0e9)
+    origin = x[base + master[0, 0]]
+    turn = wp.matrix_from_cols(x[base + master[0, 1]] - origin, x[base + master[0, 2]] - origin, x[base + master[0, 3]] - origin) / side
+    point = wp.transpose(turn) * (on_face(x, base, slave, slave_face(layout, i), shape[i % layout.points]) - origin)
+    found = read_field(field, point)
+    if not found.inside:
+        return
+    steep = wp.max(wp.length(found.slope), FLATTEST)
+    g = found.value / steep
+    n = found.slope / steep
+    across = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
+    face[i] = 0
+    gap[i] = g
+    place[i] = (point - g * n) / side
+    normal[i] = turn * n
+    bend[i] = turn * (across * found.bend * across / steep) * wp.transpose(turn)
+
+
+@wp.kernel(enable_backward=False)
 def contact_force(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, weight: wp.array(dtype=wp.float64),
-    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d), normal: wp.array(dtype=wp.vec3d),
     gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
     pressure: wp.array(dtype=wp.float64), force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
@@ -244,7 +308,7 @@ def contact_force(
     if p > wp.float64(0.0):
         t = (weight[i] * p) * normal[i]
         m = shape[i % layout.points]
-        n = tri6(xi[i])
+        n = shares(layout, place[i])
         for a in range(6):
             wp.atomic_add(force, base + slave[slave_face(layout, i), a], -m[a] * t)
             wp.atomic_add(force, base + master[face[i], a], n[a] * t)
@@ -262,7 +326,7 @@ def slip_trial(x: wp.array(dtype=wp.vec3d), base: wp.int32, position: wp.vec3d, 
 def friction_force(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
-    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_place: wp.array(dtype=wp.vec3d),
     shift: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64),
     traction: wp.array(dtype=wp.vec3d), force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
@@ -273,7 +337,7 @@ def friction_force(
     if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
         return
     m = shape[i % layout.points]
-    s = tri6(anchor_xi[i])
+    s = shares(layout, anchor_place[i])
     position = on_face(x, base, slave, slave_face(layout, i), m)
     t = slip_trial(x, base, position, master, anchor_face[i], s, normal[i], shift[i], stick[i // layout.points])
     size = wp.length(t)
@@ -301,9 +365,9 @@ def add_stencil_block(pattern: PairPattern, values: wp.array(dtype=wp.float64), 
 @wp.kernel(enable_backward=False)
 def contact_tangent(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
-    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d),
+    weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64),
-    stiffness: wp.array(dtype=wp.float64), eps: wp.float64, geometric: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64), eps: wp.float64, bend: wp.array(dtype=wp.mat33d), geometric: wp.array(dtype=wp.float64),
     pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
@@ -318,31 +382,39 @@ def contact_tangent(
     slope = w * penalty_slope(s0, k, eps)
     n = normal[i]
     m = shape[i % layout.points]
-    s = tri6(xi[i])
-    s1 = tri6_d1(xi[i])
-    s2 = tri6_d2(xi[i])
-    y1 = on_face(x, base, master, f, s1)
-    y2 = on_face(x, base, master, f, s2)
-    a11 = wp.dot(y1, y1)
-    a12 = wp.dot(y1, y2)
-    a22 = wp.dot(y2, y2)
-    det = a11 * a22 - a12 * a12
-    c1 = (a22 * y1 - a12 * y2) / det
-    c2 = (a11 * y2 - a12 * y1) / det
-    # second derivatives of the six shape functions are constant
-    four = wp.float64(4.0)
-    eight = wp.float64(8.0)
-    x0 = x[base + master[f, 0]]
-    x3 = x[base + master[f, 3]]
-    x5 = x[base + master[f, 5]]
-    b11 = wp.dot(n, four * (x0 + x[base + master[f, 1]]) - eight * x3)
-    b22 = wp.dot(n, four * (x0 + x[base + master[f, 2]]) - eight * x5)
-    b12 = wp.dot(n, four * (x0 - x3 + x[base + master[f, 4]] - x5))
-    curvature = b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1))
+    s = shares(layout, place[i])
+    s1 = vec6d()
+    s2 = vec6d()
+    core = slope * wp.outer(n, n)
     p = geometric[scene_of(layout, i)] * p
-    core = slope * wp.outer(n, n) + p * curvature
-    side1 = p * wp.outer(c1, n)
-    side2 = p * wp.outer(c2, n)
+    side1 = wp.mat33d()
+    side2 = wp.mat33d()
+    if layout.rigid:
+        core -= p * bend[i]
+    else:
+        xi = flat(place[i])
+        s1 = tri6_d1(xi)
+        s2 = tri6_d2(xi)
+        y1 = on_face(x, base, master, f, s1)
+        y2 = on_face(x, base, master, f, s2)
+        a11 = wp.dot(y1, y1)
+        a12 = wp.dot(y1, y2)
+        a22 = wp.dot(y2, y2)
+        det = a11 * a22 - a12 * a12
+        c1 = (a22 * y1 - a12 * y2) / det
+        c2 = (a11 * y2 - a12 * y1) / det
+        # second derivatives of the six shape functions are constant
+        four = wp.float64(4.0)
+        eight = wp.float64(8.0)
+        x0 = x[base + master[f, 0]]
+        x3 = x[base + master[f, 3]]
+        x5 = x[base + master[f, 5]]
+        b11 = wp.dot(n, four * (x0 + x[base + master[f, 1]]) - eight * x3)
+        b22 = wp.dot(n, four * (x0 + x[base + master[f, 2]]) - eight * x5)
+        b12 = wp.dot(n, four * (x0 - x3 + x[base + master[f, 4]] - x5))
+        core += p * (b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1)))
+        side1 = p * wp.outer(c1, n)
+        side2 = p * wp.outer(c2, n)
     for a in range(12):
         na = int(0)
         ca = wp.float64(0.0)
@@ -378,7 +450,7 @@ def contact_tangent(
 def friction_tangent(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
-    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_xi: wp.array(dtype=wp.vec2d),
+    pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_place: wp.array(dtype=wp.vec3d),
     shift: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64),
     geometric: wp.array(dtype=wp.float64),
     pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
@@ -388,7 +460,7 @@ def friction_tangent(
     if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
         return
     m = shape[i % layout.points]
-    s = tri6(anchor_xi[i])
+    s = shares(layout, anchor_place[i])
     n = normal[i]
     kt = stick[i // layout.points]
     t = slip_trial(x, base, on_face(x, base, slave, slave_face(layout, i), m), master, anchor_face[i], s, n, shift[i], kt)
@@ -441,10 +513,10 @@ def add_free(v: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32)
 @wp.kernel(enable_backward=False)
 def slip_product(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, weight: wp.array(dtype=wp.float64),
-    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), xi: wp.array(dtype=wp.vec2d), normal: wp.array(dtype=wp.vec3d),
+    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d), normal: wp.array(dtype=wp.vec3d),
     gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
     pressure: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d), anchor_face: wp.array(dtype=wp.int32),
-    anchor_xi: wp.array(dtype=wp.vec2d), friction: wp.array(dtype=wp.float64), geometric: wp.array(dtype=wp.float64),
+    anchor_place: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), geometric: wp.array(dtype=wp.float64),
     equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     """Adds to `out` the product with v of what `SurfaceContact.slip_coupling` gives as factors, in scenes whose `geometric` is set."""
@@ -461,13 +533,13 @@ def slip_product(
     s = multiplier[i] / k - gap[i]
     m = shape[i % layout.points]
     own = slave_face(layout, i)
-    near = tri6(xi[i])
+    near = shares(layout, place[i])
     closing = wp.vec3d()
     for a in range(6):
         closing += m[a] * free_vector(v, equation, base + slave[own, a])
         closing -= near[a] * free_vector(v, equation, base + master[face[i], a])
     pull = (mu * weight[i] * penalty_slope(s, k, eps) * wp.dot(normal[i], closing) / size) * traction[i]
-    held = tri6(anchor_xi[i])
+    held = shares(layout, anchor_place[i])
     for a in range(6):
         add_free(out, equation, base + slave[own, a], m[a] * pull)
         add_free(out, equation, base + master[anchor_face[i], a], -held[a] * pull)

@@ -16,16 +16,17 @@ from gelsim.fem.assembly import Solids
 from gelsim.fem.elements import tet_quadrature_data
 from gelsim.fem.linear import make_solver
 from gelsim.fem.pattern import build_pattern
-from gelsim.fem.problem import MM, isochoric_constants
+from gelsim.fem.problem import isochoric_constants
 from gelsim.geometry import TetMesh
 from gelsim.scene.materials import ElasticMaterial
+from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
 
 
 def solids_of(mesh: TetMesh, material: ElasticMaterial, fixed: NDArray[np.bool_], points: int = 4) -> Solids:
     """One solid in solver units; `fixed` (N, 3) says which displacement components are prescribed."""
-    rest = mesh.rest_positions * MM
+    rest = mesh.rest_positions * MM_PER_M
     data = tet_quadrature_data(TetMesh(rest, mesh.tets), points)
     count = len(mesh.tets)
     law = np.tile(isochoric_constants(material), (count, 1))

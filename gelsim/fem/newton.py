@@ -103,8 +103,9 @@ class Newton:
         internal, volume, min_jacobian = solids.internal_force()
         external = contact_force.numpy()
         unbalanced = np.where(solids.free[:, :3], internal + external, 0.0)
+        external = np.where(solids.free[:, :3], external, 0.0)  # few nodes carry all of what a rigid object bears
         volume = np.where(solids.free[:, 3], volume, 0.0)
-        # the load may be carried by prescribed nodes only (before contact): then any force is compared with the internal ones
+        # before contact any force is compared with the internal ones
         scale = max(np.abs(external).max(), np.abs(internal).max() * 1e-3, 1e-9)
         equations = np.zeros(solids.unknowns)
         equations[solids.equation[solids.free]] = np.concatenate([unbalanced, volume[:, None]], axis=1)[solids.free]

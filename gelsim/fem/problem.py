@@ -1,35 +1,30 @@
 """A scene made ready for Newton: one numbering for both bodies, their supports, materials and contact, in solver units.
 
-The gel is bonded to its window, the object's base to its platen; a node on a mirror plane stays on it. Of a rigid object every node is
-driven.
+The gel is bonded to its window, the object's base to its platen; a node on a mirror plane stays on it. A rigid object has four nodes, which
+are driven (contact.RigidContact).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.fem.assembly import Solids
-from gelsim.fem.contact import ContactLaw, SurfaceContact
+from gelsim.fem.contact import ContactLaw, RigidContact, SurfaceContact, body_shares
 from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.field import distance_field
 from gelsim.fem.newton import Newton, NewtonOptions
 from gelsim.fem.pattern import split_pressures
 from gelsim.fem.viscoelastic import Memory, prony_arrays
 from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.scene.definition import Scene
 from gelsim.scene.materials import OGDEN_TERMS, ElasticMaterial
-
-if TYPE_CHECKING:
-    from gelsim.fem.quasistatic import Course
-    from gelsim.fem.recording import Recorder
+from gelsim.units import KPA_PER_PA, MM_PER_M
 
 Array = NDArray[np.float64]
-MM = 1e3  # solver lengths are millimetres
-KPA = 1e-3
 MILLINEWTON = 1e-3  # N per solver force unit
 
 # k·h of the contact penalty over E of the softest body, and its smoothing: 100 makes the pressure ripple, 10 costs augmentations.
@@ -52,8 +47,6 @@ class PressProblem:
 
     on_object = False
     most_wasted = MOST_WASTED
-    course: Course | None = None
-    """Of a press with several tries: what this one goes on from, and what it leaves."""
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
@@ -62,13 +55,13 @@ class PressProblem:
                  most_wasted: int = MOST_WASTED, patient: bool = True) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
-        gel_rest = gel.rest_positions * MM
+        gel_rest = gel.rest_positions * MM_PER_M
         n = len(gel_rest)
         if isinstance(body, TetMesh):
-            nodes, object_faces = body.rest_positions, body.groups["contact"]
+            nodes = body.rest_positions
         else:
-            nodes, object_faces = body.nodes, body.faces
-        object_rest = (nodes @ np.asarray(rotation).T + np.asarray(translation)) * MM
+            nodes = np.vstack([np.zeros(3), np.eye(3)]) * RigidContact.SIDE / MM_PER_M
+        object_rest = (nodes @ np.asarray(rotation).T + np.asarray(translation)) * MM_PER_M
         rest = np.concatenate([gel_rest, object_rest])
         self.object_nodes = np.arange(n, len(rest))
         fixed = np.zeros((len(rest), 3), bool)
@@ -92,7 +85,7 @@ class PressProblem:
         for mesh, several, shift in meshes:
             data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), tet_points)
             law = np.array([isochoric_constants(material, ogden) for material in several])[mesh.regions]
-            kappa = np.array([material.kappa * KPA for material in several])[mesh.regions]
+            kappa = np.array([material.kappa * KPA_PER_PA for material in several])[mesh.regions]
             parts.append((mesh.tets + shift, data, law, kappa))
             of_tets += [several[region] for region in mesh.regions]
         data = parts[0][1]
@@ -108,11 +101,11 @@ class PressProblem:
         rest, fixed = np.concatenate([rest, rest[copies]]), np.concatenate([fixed, fixed[copies]])
         self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
-        self.shear = np.array([material.mu * KPA for material in of_tets])
+        self.shear = np.array([material.mu * KPA_PER_PA for material in of_tets])
         self.held, self.most_wasted = held, most_wasted
         if held > 0.0:
             self.solids.hold_volume(np.minimum(held * self.shear, 0.5 * kappa))
-        softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA
+        softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA_PER_PA
         self.memory: Memory | None = None
         if any(material.prony for _, several, _ in meshes for material in several):
             self.memory = self.solids.remember(*prony_arrays([material.prony for material in of_tets]))
@@ -121,9 +114,14 @@ class PressProblem:
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM[scene.fidelity], friction, STICK_PER_MODULUS * softest)
         self.on_object = on_object
-        pair = gel.groups["coated"], (object_faces + n).astype(np.int32)
-        slave, master = reversed(pair) if on_object else pair
-        self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
+        coated = gel.groups["coated"]
+        if isinstance(body, TetMesh):
+            pair = coated, (body.groups["contact"] + n).astype(np.int32)
+            slave, master = reversed(pair) if on_object else pair
+            self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
+        else:
+            field = distance_field(scene)
+            self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, contact_points, gel.symmetry)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity], patient=patient)
         self.copies = 2 ** len(gel.symmetry)
 
@@ -137,11 +135,15 @@ class PressProblem:
         """Name of what solves its equations, for the report."""
         return self.newton.system.direct.name
 
-    def record(self) -> Recorder:
-        """What keeps its states."""
-        from gelsim.fem.recording import Recorder  # which knows this module
-
-        return Recorder(self)
+    def object_surface(self, displacement: Array) -> tuple[QuadraticSurface, Array]:
+        """The object's outer faces in place at rest [m], and how they move (S, G, 3) where all nodes move by (S, N, 3)."""
+        body = self.body
+        if isinstance(body, TetMesh):
+            used, faces = np.unique(body.groups["contact"]), body.surface("contact").faces
+            nodes = self.object_nodes[used]
+            return QuadraticSurface(self.solids.rest[nodes] / MM_PER_M, faces), displacement[:, nodes]
+        shares = body_shares(body.nodes * MM_PER_M / RigidContact.SIDE)[:, :4]
+        return QuadraticSurface(shares @ self.solids.rest[self.driven] / MM_PER_M, body.faces), shares @ displacement[:, self.driven]
 
     def reset(self) -> None:
         """Back to rest, with nothing remembered of contact."""
@@ -181,6 +183,6 @@ def isochoric_constants(material: ElasticMaterial, ogden: bool = False) -> Array
         assert material.law != "yeoh", "a cubic has no Ogden form"
         alpha, weight = np.reshape(material.constants, (-1, 2)).T if material.law == "ogden" else ([2.0], [1.0])
         constants = np.tile([0.0, 2.0], OGDEN_TERMS)
-        constants[: 2 * len(alpha)] = np.column_stack([material.mu * KPA * np.asarray(weight), alpha]).ravel()
+        constants[: 2 * len(alpha)] = np.column_stack([material.mu * KPA_PER_PA * np.asarray(weight), alpha]).ravel()
         return constants
-    return material.mu / 2 * KPA * np.array([1.0, *(material.constants or (0.0, 0.0))])
+    return material.mu / 2 * KPA_PER_PA * np.array([1.0, *(material.constants or (0.0, 0.0))])

@@ -10,7 +10,7 @@ search finds how far that is, and each recorded state is one step from its way; 
 before, a second march records. What ended a press its info says (`errors.PressEnd`).
 
 A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
-(`fem.ways`). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
+(strategy.py). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
 stays. Solids that remember begin at rest instead.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
@@ -33,13 +33,17 @@ from gelsim.fem.contact import LOOKED_MM, ContactState
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
-from gelsim.fem.problem import MM, PressProblem
+from gelsim.fem.problem import PressProblem
+from gelsim.fem.recording import Recorder
 from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
-from gelsim.scene.definition import Press, Scene
+from gelsim.scene.definition import Press
+from gelsim.shape.shapes import furthest_approach
+from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+Record = Callable[[PressProblem], Recorder]
 
 MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
@@ -81,13 +85,19 @@ class Course:
     """Whether that was found by going on from another search, so that all are to begin again."""
 
 
-def run_press(problem: PressProblem, *, progress: Progress | None = None, throw: bool = True) -> Deformation:
+def run_press(
+    problem: PressProblem, *, course: Course | None = None, record: Record = Recorder, progress: Progress | None = None, throw: bool = True
+) -> Deformation:
     """Solves a press. `progress(done, total)` is called after each recorded state, and on the search for the approach of a force.
+
+    Args:
+        course: Of a press with several tries: what this one goes on from, and what it leaves.
+        record: Makes what keeps the problem's states.
 
     Raises:
         SolveError: (with `throw`) Newton failed at the smallest step; carries what was solved.
     """
-    marching = march_press(problem, progress)
+    marching = march_press(problem, course or Course(), record, progress)
     with single_threaded_blas():
         try:
             request = next(marching)
@@ -100,17 +110,19 @@ def run_press(problem: PressProblem, *, progress: Progress | None = None, throw:
     return deformation
 
 
-def march_press(problem: PressProblem, progress: Progress | None = None) -> Generator[Request, NewtonReport, Deformation]:
+def march_press(
+    problem: PressProblem, course: Course, record: Record = Recorder, progress: Progress | None = None
+) -> Generator[Request, NewtonReport, Deformation]:
     """A whole press as a generator of requests; returns what was solved, with the status and what to try where that is not all.
 
     A search for a force that is lost is all there is where another try goes on from it, or it from another; where such a one was not, the
     states are left to be recorded from rest.
     """
-    press, course = problem.scene.press, problem.course or Course()
+    press = problem.scene.press
     before, march = course.before, None
-    found = course.found if press.depth_mm is None else (press.depth_mm / MM, PressEnd.DEPTH, "")
+    found = course.found if press.depth_mm is None else (press.depth_mm / MM_PER_M, PressEnd.DEPTH, "")
     if found is None:
-        search = _Search(problem)
+        search = _Search(problem, record)
 
         def share(*_: int) -> None:
             """The part of the force that is reached, in states; recording then counts them anew."""
@@ -127,13 +139,13 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
             course.found, course.searched = found, True
             return search.deformation(found[1], "")
         straight = not any(press.shear_mm) and not press.twist_deg
-        if straight and problem.memory is None and (yield from search.record(found[0], press.frames, progress)):
+        if straight and problem.memory is None and (yield from search.record_way(found[0], press.frames, progress)):
             march = search
     depth, end, beyond = found
     if march is None:
         spacing = depth / (press.frames - 1)
         for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
-            march = _March(problem, press, depth)
+            march = _March(problem, press, depth, record)
             yield from march.run(spacing, press.frames, progress, longest, before)
             if march.status is SolveStatus.CONVERGED or before is not None:
                 break
@@ -151,20 +163,15 @@ def march_press(problem: PressProblem, progress: Progress | None = None) -> Gene
     missing, jumped_at = march.energy.jump
     if missing > JUMPED:
         deformation.warn(
-            f"the step to {jumped_at * MM:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a sharp rim "
-            "that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
+            f"the step to {jumped_at * MM_PER_M:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a "
+            "sharp rim that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
         )
     if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
         why = beyond or f" with {march.normal_force:.3g} N"
-        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM:.3g} mm{why}")
+        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM_PER_M:.3g} mm{why}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
     return deformation
-
-
-def _depth_limit(scene: Scene) -> float:
-    """How far [m] a press may go when only a force ends it: half of the gel plus a third of a soft object's height."""
-    return (0.5 * scene.gel.thickness_mm + (0.0 if scene.object.rigid else scene.object.height_mm / 3)) / MM
 
 
 @dataclass(frozen=True)
@@ -184,9 +191,9 @@ class _State:
 class _March:
     """One press, state after state."""
 
-    def __init__(self, problem: PressProblem, press: Press, depth: float) -> None:
-        self.problem, self.press, self.depth = problem, press, depth
-        self.recorder, self.energy = problem.record(), EnergyBalance(problem)
+    def __init__(self, problem: PressProblem, press: Press, depth: float, record: Record) -> None:
+        self.problem, self.press, self.depth, self.record = problem, press, depth, record
+        self.recorder, self.energy = record(problem), EnergyBalance(problem)
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
         self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
         self.here: _State
@@ -312,7 +319,7 @@ class _March:
         self._predict(here, new, extrapolated)
         if problem.memory is not None:
             problem.memory.begin(seconds or self._seconds(here, new))
-        reach = LOOKED_MM + 2 * (new - here.approach) * MM
+        reach = LOOKED_MM + 2 * (new - here.approach) * MM_PER_M
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)
         overlap = np.inf
@@ -343,7 +350,7 @@ class _March:
         if report.status is SolveStatus.CONVERGED:
             self.status = SolveStatus.INVERTED_ELEMENT if folds else SolveStatus.MAX_ITERATIONS
         self._wasted += report.iterations
-        self.message = f"at approach {new * MM:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
+        self.message = f"at approach {new * MM_PER_M:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
         if extrapolated and problem.held and report.status is not SolveStatus.CONVERGED:
             return (yield from self._attempt(here, new, seconds, again=True))
@@ -351,7 +358,7 @@ class _March:
 
     def _seconds(self, here: _State, new: float) -> float:
         """What the travel to approach `new` [m] takes."""
-        return (new - here.approach) * MM / self.press.speed_mm_s
+        return (new - here.approach) * MM_PER_M / self.press.speed_mm_s
 
     def _state(self, approach: float, seconds: float = 0.0) -> _State:
         """The present one, to return to."""
@@ -392,7 +399,7 @@ class _March:
         relative = self.problem.solids.rest[nodes] - np.array([*press.offset_mm, 0.0])
         cosine, sine = np.cos(angle), np.sin(angle)
         turned = np.stack([cosine * relative[:, 0] - sine * relative[:, 1], sine * relative[:, 0] + cosine * relative[:, 1]], 1)
-        travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM])
+        travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM_PER_M])
         return np.column_stack([turned - relative[:, :2], np.zeros(len(relative))]) + travel
 
     def _nearly_at_force(self) -> float:
@@ -420,7 +427,7 @@ class _March:
                 low = new, force
         else:
             return new, force
-        yield from self._return_to(beyond, LOOKED_MM + 2 * (high[0] - here.approach) * MM)
+        yield from self._return_to(beyond, LOOKED_MM + 2 * (high[0] - here.approach) * MM_PER_M)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
 
@@ -428,11 +435,11 @@ class _March:
 class _Search(_March):
     """Looks for the approach at which the force that ends a press is reached, straight down, and remembers the way there."""
 
-    def __init__(self, problem: PressProblem) -> None:
+    def __init__(self, problem: PressProblem, record: Record) -> None:
         scene = problem.scene
-        limit = _depth_limit(scene)
-        press = Press(depth_mm=limit * MM, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
-        super().__init__(problem, press, limit)
+        limit = furthest_approach(scene)
+        press = Press(depth_mm=limit * MM_PER_M, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
+        super().__init__(problem, press, limit, record)
         self.trail: list[_State] = []
 
     def _arrive(self, state: _State, force: float) -> None:
@@ -451,9 +458,9 @@ class _Search(_March):
             return self.approach, PressEnd.LOST, f" with {self.normal_force:.3g} N; further on {self.status.value}"
         return self.depth, PressEnd.LIMIT, ""
 
-    def record(self, depth: float, states: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
+    def record_way(self, depth: float, states: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
         """Records equally spaced states to `depth` [m], each a step from the one before it on the way; whether all were found."""
-        self.recorder = self.problem.record()
+        self.recorder = self.record(self.problem)
         places = np.array([state.approach for state in self.trail])
         for number in range(states):
             target = depth * number / (states - 1)

@@ -19,17 +19,17 @@ from gelsim.fem.indicator import (
     stress_jump,
     surface_kink,
 )
-from gelsim.fem.problem import KPA, MM, PressProblem
+from gelsim.fem.problem import PressProblem
 from gelsim.fem.self_contact import closing_gap
 from gelsim.fem.touching import touching_area
-from gelsim.geometry import QuadraticSurface, TetMesh, mirror_surface, split_faces
+from gelsim.geometry import QuadraticSurface, mirror_surface, split_faces
 from gelsim.results import Deformation, SurfaceMotion
 from gelsim.scene.definition import Gel
+from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.shapes import gel_height
+from gelsim.units import KPA_PER_PA, MM_PER_M
 
 Array = NDArray[np.float64]
-HOLLOW = ("tube", "shell", "mesh")
-"""Shapes whose surface may come to touch itself; the others are convex, or open wide."""
 
 
 class Recorder:
@@ -53,12 +53,12 @@ class Recorder:
         self.approach.append(approach)
         self._force.append(problem.contact_force())
         self._pressure.append(pressure)
-        self._overlap.append(_mean_overlap(problem) / MM)
-        self._displacement.append(problem.solids.displacement.numpy() / MM)
+        self._overlap.append(_mean_overlap(problem) / MM_PER_M)
+        self._displacement.append(problem.solids.displacement.numpy() / MM_PER_M)
         numbers = {
             "contact_area": area,
             "min_jacobian": problem.solids.internal_force()[2],
-            "penetration": max(0.0, -float(problem.contact.gap.numpy().min())) / MM,
+            "penetration": max(0.0, -float(problem.contact.gap.numpy().min())) / MM_PER_M,
             "newton_iterations": newton_iterations,
             "linear_iterations": factorisations,
             "seconds": now - self._clock,
@@ -78,7 +78,7 @@ class Recorder:
         of_force = force_error(jump, overlap, approach, self._per_jump(min(self._numbers["min_jacobian"])))
         # of the last state kept: after a failure the solids hold that one again
         kink = self._kink(everything[-1])
-        hollow = problem.object_material is not None and problem.scene.object.shape in HOLLOW
+        hollow = problem.object_material is not None and SHAPES[problem.scene.object.shape].hollow
         told = [*(_self_contact(object_motion) if hollow else []), *_beyond_border(problem.scene.gel, object_motion)]
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
@@ -111,7 +111,7 @@ class Recorder:
 
     def _jump(self, displacement: Array) -> float:
         problem = self.problem
-        return stress_jump(problem.solids.tets, problem.quadrature, problem.shear, displacement * MM, problem.regions)
+        return stress_jump(problem.solids.tets, problem.quadrature, problem.shear, displacement * MM_PER_M, problem.regions)
 
     def _per_jump(self, smallest_jacobian: float) -> float:
         return FORCE_ERROR_PER_JUMP["solid" if smallest_jacobian > DISTORTED else "profile"]
@@ -126,17 +126,12 @@ class Recorder:
     def _surfaces(self, everything: Array) -> tuple[SurfaceMotion, SurfaceMotion, Array]:
         """Motion of the gel's outer face and of the object's, and the pressure at the gel's nodes, all of the whole body."""
         problem = self.problem
-        gel, body = problem.gel, problem.body
+        gel = problem.gel
         coated = np.unique(gel.groups["coated"])
         pressure = np.array(self._pressure)[:, coated]
         gel_motion, pressure = whole_surface(gel.surface("coated"), everything[:, coated], pressure, gel.symmetry)
-        if isinstance(body, TetMesh):
-            used, local = np.unique(body.groups["contact"]), body.surface("contact")
-        else:
-            used, local = np.arange(len(body.nodes)), body
-        nodes = problem.object_nodes[used]
-        placed = QuadraticSurface(problem.solids.rest[nodes] / MM, local.faces)
-        object_motion, _ = whole_surface(placed, everything[:, nodes], np.zeros((len(everything), len(nodes))), gel.symmetry)
+        placed, moved = problem.object_surface(everything)
+        object_motion, _ = whole_surface(placed, moved, np.zeros(moved.shape[:2]), gel.symmetry)
         return gel_motion, object_motion, pressure
 
 
@@ -145,22 +140,22 @@ def _self_contact(surface: SurfaceMotion) -> list[str]:
     if found is None:
         return []
     state, gap = found
-    return [f"the object comes to touch itself, which is not modelled: {gap * MM:.2g} mm left in state {state}, maybe overrun later"]
+    return [f"the object comes to touch itself, which is not modelled: {gap * MM_PER_M:.2g} mm left in state {state}, maybe overrun later"]
 
 
 def _beyond_border(gel: Gel, surface: SurfaceMotion) -> list[str]:
     """A note where the object, at the height of the gel's face or below, ends beyond the gel."""
-    half = np.array(gel.size_mm) / 2 / MM
+    half = np.array(gel.size_mm) / 2 / MM_PER_M
     moved = surface.displacement[-1]
     # On average, as what ends flush with the gel bulges beyond it.
     place = surface.rest[:, :2] + moved[:, :2].mean(axis=0)
     nearest = np.clip(place, -half, half)
     low = surface.rest[:, 2] + moved[:, 2] < gel_height(gel, nearest)
     reach = np.abs(place - nearest).max(axis=1)[low].max(initial=0.0)
-    if reach <= 0.1 * gel.thickness_mm / MM:
+    if reach <= 0.1 * gel.thickness_mm / MM_PER_M:
         return []
     return [
-        f"the object goes {reach * MM:.2g} mm beyond the border of the gel (gel.size_mm = {gel.size_mm[0]:g} {gel.size_mm[1]:g} mm), "
+        f"the object goes {reach * MM_PER_M:.2g} mm beyond the border of the gel (gel.size_mm = {gel.size_mm[0]:g} {gel.size_mm[1]:g} mm), "
         "whose sides are free: no housing beside it"
     ]
 
@@ -184,11 +179,11 @@ def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
     pressure = np.asarray(contact.pressure.numpy(), np.float64).reshape(weight.shape)
     # augmentation leaves half the penalty's smoothing as overlap
     opening = contact.gap.numpy().reshape(weight.shape) + problem.law.smoothing / 2
-    area = touching_area(x, contact.slave_faces, opening, pressure) * problem.copies / MM**2
+    area = touching_area(x, contact.slave_faces, opening, pressure) * problem.copies / MM_PER_M**2
     gel_faces, bary = problem.gel.groups["coated"], triangle_quadrature(contact.points)[0]
     if problem.on_object:
         touching = np.flatnonzero(pressure > 0)
-        xi = contact.xi.numpy()[touching]
+        xi = contact.place.numpy()[touching, :2]
         face = np.asarray(contact.face.numpy(), np.int32)[touching]
         nodes = contact.master_faces[face]
         # a point may lie a little beside the face that it keeps
@@ -199,7 +194,7 @@ def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
         nodes, top = gel_faces, (weight * pressure) @ _hats(bary)
     total = np.bincount(gel_faces.ravel(), (weight @ _hats(bary)).ravel(), solids.node_count)
     mean = np.bincount(nodes.ravel(), top.ravel(), solids.node_count) / np.where(total > 0, total, 1.0)
-    return float(area), mean / KPA
+    return float(area), mean / KPA_PER_PA
 
 
 def _hats(bary: Array) -> Array:

@@ -39,9 +39,10 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from gelsim.errors import SceneError, SolveError, SolveStatus
 from gelsim.fem.linear import float64_factors
 from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
-from gelsim.fem.problem import MILLINEWTON, MM, PressProblem
+from gelsim.fem.problem import MILLINEWTON, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.results import PressSensitivity
+from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
 
@@ -154,7 +155,7 @@ class Adjoint:
         if functional.nodes is not None:
             assert functional.weights is not None
             at = solids.equation[functional.nodes, :3]
-            np.add.at(by_state, at[at >= 0], functional.weights[at >= 0] / MM)
+            np.add.at(by_state, at[at >= 0], functional.weights[at >= 0] / MM_PER_M)
         by_multiplier = functional.force * self.force_by_multiplier
 
         def spread(b: Array) -> Array:
@@ -222,7 +223,7 @@ def press_sensitivity(
         solids = problem.solids
         if done > 1:
             converge(problem)
-        z = solids.displacement.numpy()[:, 2] / MM
+        z = solids.displacement.numpy()[:, 2] / MM_PER_M
         force.append(-problem.contact_force()[2])
         height.append([shares @ z[nodes] for nodes, shares in heights])
         if done == 1:  # first touch: nothing is loaded yet

@@ -30,6 +30,7 @@ from gelsim.errors import SceneError
 from gelsim.generate.plan import SPLITS
 from gelsim.results import Episode
 from gelsim.scene.layers import build_scene
+from gelsim.scene.shape_table import SHAPES
 from gelsim.tables import read_csv
 
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".webm")
@@ -42,11 +43,6 @@ LEAD, QUIET = 2, 3
 BLOCK = 8
 BEGUN, CALM, LEAST = 0.05, 0.5, 1.0
 """Share of the largest change from which on a press has begun; mean changes [levels of 255] of what stands still, and of a press."""
-SHAPES = {
-    "hemi": ("hemisphere", 1), "sphere": ("hemisphere", 1), "ball": ("hemisphere", 1), "cyl": ("cylinder", 1),
-    "flat": ("flat", 1), "plane": ("flat", 1), "edge": ("edge", 1), "corner": ("corner", 1),
-}  # fmt: skip
-"""First letters of a file's name -> shape, group. Other shapes with a hardness are group 4, those without group 5."""
 COLUMNS = ("file", "object", "group", "shape", "radius_mm", "shore_00", "rigid", "motion", "no_contact", "first", "last", "split")
 
 Progress = Callable[[str, int, int], None]
@@ -129,12 +125,13 @@ def _recordings(source: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def labels_of_name(name: str, robot: bool = False) -> dict[str, Any]:
-    """What SHAPE[RADIUS]_HH_NUMBER says."""
+    """What SHAPE[RADIUS]_HH_NUMBER says. A shape of the table is group 1, another one with a hardness group 4, without one group 5."""
     fields = name.split("_")
     match = re.fullmatch(r"([A-Za-z-]+?)-?(\d+(?:\.\d+)?)?(?:mm)?", fields[0])
     word, radius = (match[1].lower(), match[2]) if match else (fields[0].lower(), None)
     hardness = float(fields[1]) if len(fields) > 1 and re.fullmatch(r"\d{2}", fields[1]) else None
-    shape, group = next((SHAPES[key] for key in SHAPES if word.startswith(key)), (word or "unknown", 5 if hardness is None else 4))
+    simple = next((name for name, row in SHAPES.items() if word.startswith(row.recorded_as)), None)
+    shape, group = (simple, 1) if simple else (word or "unknown", 5 if hardness is None else 4)
     return {
         "object": "-".join(fields[:2]) if hardness is not None else fields[0], "group": group, "shape": shape,
         "radius_mm": float(radius) if radius else None, "shore_00": hardness, "rigid": False, "motion": "robot" if robot else "human",

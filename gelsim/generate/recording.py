@@ -27,6 +27,7 @@ from gelsim.results import Deformation, Episode
 from gelsim.scene import materials
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene, dump_scene, scene_table
+from gelsim.scene.shape_table import SHAPES
 from gelsim.units import MM
 
 STATES = 8
@@ -36,9 +37,6 @@ LONGEST = 60
 ENOUGH = 0.6
 """Of the wanted depth or force, whichever is nearer, at which a press that finds no equilibrium further on is kept as it is, and does not
 begin again."""
-RADII = ("hemisphere", "cylinder", "punch", "tube", "shell", "tomato", "cone", "frustum", "torus")
-"""Shapes that have a radius_mm."""
-
 
 FOLLOWS = ("frames", "peak_force_n", "file", "peak_approach_mm", "gel", "pictures")
 """What `pictured` puts into a row."""
@@ -136,12 +134,11 @@ def expected_travel(scene: Scene) -> float:
     force = scene.press.force_n
     if force is None:
         return np.inf
-    body, layer = scene.object, scene.gel.thickness_mm * MM
-    wide = {"edge": 1.0, "corner": 0.7, "cone": 1.0, "wave": 4.0, "emboss": 4.0, "rough": 4.0}.get(body.shape, 50.0) * MM
-    radius = body.radius_mm * MM if body.shape in RADII and body.shape not in ("punch", "frustum", "cone", "torus") else wide
+    body, row, layer = scene.object, SHAPES[scene.object.shape], scene.gel.thickness_mm * MM
+    radius = (body.radius_mm if row.tip_mm is None else row.tip_mm) * MM
     dome = 57e-3
     across = 1.0 / (1.0 / radius + 1.0 / dome)
-    along = dome if body.shape in ("cylinder", "edge", "tube", "wave") else across
+    along = dome if row.ridge else across
     curved = np.sqrt(across * along)
     depths = np.geomspace(1e-5, 2e-2, 200)
     gel = materials.gel_material(scene).youngs_modulus
@@ -151,7 +148,7 @@ def expected_travel(scene: Scene) -> float:
     solids = materials.object_materials(scene)
     if "body" in solids:
         soft = solids["body"].youngs_modulus
-        wide = min(2 * radius, 25e-3) if body.shape in RADII else (body.width_mm or 15.0) * MM
+        wide = min(2 * radius, 25e-3) if row.has_radius else (body.width_mm or 15.0) * MM
         travel += (force / ((16 / 9) * soft * np.sqrt(curved))) ** (2 / 3) + 0.5 * force * body.height_mm * MM / (
             soft * wide * min(wide, 25e-3)
         )
@@ -175,8 +172,9 @@ def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio:
     natural = press.group.number == 5
     row = {
         "index": draw.index, "object": press.object.name, "group": press.group.number, "shape": body.shape,
-        "radius_mm": body.radius_mm if body.shape in RADII else None, "shore_00": None if body.rigid or natural else body.shore_00,
-        "rigid": body.rigid, "motion": press.group.motion, "domain": "sim", "mechanics": f"{press.number:06d}",
+        "radius_mm": body.radius_mm if SHAPES[body.shape].has_radius else None,
+        "shore_00": None if body.rigid or natural else body.shore_00, "rigid": body.rigid,
+        "motion": press.group.motion, "domain": "sim", "mechanics": f"{press.number:06d}",
         "sensor": f"{scene.sensor.preset}-{press.sensor}", "body_shore_00": None if body.rigid else body.shore_00, "split": press.split,
     } | ({"ended_early": short} if short else {})  # fmt: skip
     return pictured(told, press.scene, pack(motion.until(far)), approach, row, studio)

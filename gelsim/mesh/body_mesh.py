@@ -53,17 +53,10 @@ from gelsim.mesh.contact_area import contact_field, core, cut_pieces, edge_in_co
 from gelsim.mesh.inclusions import Inclusion, inclusions
 from gelsim.mesh.sizing import LONGER, SIZES, MeshSizes, SizeField, class_above, object_edge
 from gelsim.scene.definition import Body, Scene
+from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import compare_bodies
-from gelsim.shape.shapes import (
-    BUMPY,
-    RELIEFS,
-    load_mesh,
-    press_depth,
-    shape_symmetry,
-    sharp_edges,
-    solid,
-    wall,
-)
+from gelsim.shape.outlines import bore, wall
+from gelsim.shape.shapes import load_mesh, of_file, press_depth, shape_symmetry, sharp_edges, solid
 from gelsim.shape.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
@@ -109,7 +102,8 @@ def mesh_object(
     within: tuple[Inclusion, ...] = ()
     # As of the gel: no mirror image where one side alone is touched.
     side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
-    if body.shape == "mesh":
+    row = SHAPES[body.shape]
+    if of_file(body):
         surface, shape, stretch = load_mesh(body), None, 1.0
         told = compare_bodies(surface)
         if told and told.faults:  # a rigid object may have them: only its outside counts
@@ -120,10 +114,10 @@ def mesh_object(
         surface, shape, stretch = None, solid(body, cut, _COARSE), area.stretch
         within = inclusions(body, cut, _COARSE)
         narrow = float(np.ptp(solid(body).hull, axis=0).min())
-    uneven = 2.0 * body.amplitude_mm * MM if body.shape in RELIEFS else 0.0
+    uneven = 2.0 * body.amplitude_mm * MM if row.relief else 0.0
     deep = class_above(0.5 * press_depth(scene)) if sizes.deeper else 0.5 * press_depth(scene)
     box = replace(area, low=(0.0, 0.0), side=(side_x, side_y)), 0.0, deep + uneven
-    edge = object_edge(box[0], box[2], edge_in_contact(scene, area), np.inf if body.shape in BUMPY else sizes.most_cubes)
+    edge = object_edge(box[0], box[2], edge_in_contact(scene, area), np.inf if row.bumpy else sizes.most_cubes)
     # Away from contact a tall object is a spring, but it needs two or three quadratic edges across to bend and stay round.
     far = max(edge, min(sizes.object_far, narrow / 2.5))
     rims = cut_pieces(sharp_edges(body), min(edge, sizes.rim))
@@ -137,7 +131,7 @@ def mesh_object(
         surface, *inner = (
             TriMesh(*solid_surface(each, np.inf, lambda points: _CHORD * field(points))[:2]) for each in (shape, *(i.shape for i in within))
         )
-    label = f"the object ({body.mesh if body.shape == 'mesh' else body.shape})"
+    label = f"the object ({body.mesh if of_file(body) else body.shape})"
     smallest = min(field.smallest, np.inf if len(seams) else sizes.rim)
     envelope = (_OF_FACETS if shape is None else sizes.envelope) * smallest
     mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)), drawn_before)
@@ -168,11 +162,11 @@ def _seams(body: Body, shape: Solid | None, within: tuple[Inclusion, ...], sizes
     """Points (K, 3) of what is thin, or of another material, inside an object, and the edge length [m] that it asks for."""
     share = np.sqrt(SIZES["fast"].divisions / sizes.divisions)
     wanted = [(each.shape, share * each.size) for each in within]
-    if shape is not None and body.shape in ("tube", "shell"):
+    if shape is not None and bore(body):
         wanted.append((shape, share * wall(body)))
     size = min((each for _, each in wanted), default=np.inf)
     points = [np.zeros((0, 3)), *(solid_surface(each, size, np.inf)[0] for each, _ in wanted)]
-    if shape is not None and body.shape in ("tube", "shell"):
+    if shape is not None and bore(body):
         hollow = tuple(p for p in shape.patches if isinstance(p, Sweep) and any(s.radius < 0 for s in p.segments))
         near = patch_distances(hollow, points[-1]).min(axis=1) < 1.5 * wall(body)
         points[-1] = points[-1][near]

@@ -13,7 +13,9 @@ from scipy.spatial import KDTree
 from gelsim.geometry import QuadraticSurface
 from gelsim.mesh.sizing import SIZES, Footprint, MeshSizes, SizeField, class_above, class_below, contact_edge
 from gelsim.scene.definition import Scene
-from gelsim.shape.shapes import DRAWN, TURNED, fine_feature, gel_height, placement, press_depth, rigid_surface, sharp_edges
+from gelsim.scene.shape_table import SHAPES
+from gelsim.shape.outlines import fine_feature
+from gelsim.shape.shapes import gel_height, placement, press_depth, rigid_surface, sharp_edges
 from gelsim.shape.solids import Array
 from gelsim.units import MM
 
@@ -56,9 +58,10 @@ def footprint(scene: Scene) -> Footprint:
     high_class = np.minimum([class_above(v) for v in outer], half)
     low_class = [class_below(v) for v in inner]
     width = high_class - low_class
-    drawn = scene.object.shape in DRAWN and abs(scene.press.twist_deg) <= _ALONG
+    row = SHAPES[scene.object.shape]
+    drawn = row.drawn and abs(scene.press.twist_deg) <= _ALONG
     stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
-    round_area = scene.object.shape in TURNED and not any(low_class)
+    round_area = row.turned and not any(low_class)
     side_x, side_y = (int(np.sign(h)) if each else 0 for each, h in zip(low_class, low + high, strict=True))
     corners = (float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1]))
     return Footprint(*corners, stretch, round_area, (side_x, side_y))

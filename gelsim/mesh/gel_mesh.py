@@ -32,15 +32,19 @@ from gelsim.geometry import (
 from gelsim.mesh.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine
 from gelsim.mesh.contact_area import contact_field, core, edge_in_contact, footprint, rims_on_gel
 from gelsim.mesh.rim_edges import lay_edges
-from gelsim.mesh.sizing import SIZES, Footprint, SizeField
-from gelsim.scene.definition import Gel, Scene
+from gelsim.mesh.sizing import SIZES, Footprint, MeshSizes, SizeField
+from gelsim.scene.definition import Body, Gel, Scene
+from gelsim.shape.outlines import edge_radius
 from gelsim.shape.shapes import gel_height
 from gelsim.shape.solids import Array
 from gelsim.units import MM
 
-LONGER = 1.6
+LONGER_ACROSS = 1.6
 """Longest leg of a bisected face over the size field; the shortest is √2 shorter. At rims it is 1, but not at `fast`: a rigid box is off by
 12 µm there, with 3,429 unknowns; it would be by 4 µm with 5,363, and presses of many rims took twice as long."""
+RIM_PER_RADIUS = 2.0
+"""Edge length along a rigid object's rims over their radius: with 3 the membrane wavers along a straight edge by 4 µm RMS, with 2 by less
+than 2 (docs/validation.md, *Straight edges*)."""
 FINE_DEPTH = 0.15
 """Depth over which edges stay as short as at the surface, per thickness and per half width of the contact area."""
 _FOLDED = (1.0, 0.5, 0.25)
@@ -59,7 +63,7 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     """
     sizes, area = SIZES[scene.fidelity], footprint(scene)
     if scene.fidelity != "fast":
-        sizes = replace(sizes, rim=sizes.rim / LONGER)
+        sizes = replace(sizes, rim=_rim(scene.object, sizes) / LONGER_ACROSS)
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
     rims = rims_on_gel(scene)
     fine = FINE_DEPTH * min(thickness, *area.high)
@@ -81,6 +85,12 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     for axis, side in zip("xy", area.side, strict=True):
         mesh = flip(mesh, axis) if side < 0 else mesh
     return mirrored(mesh, symmetry)
+
+
+def _rim(body: Body, sizes: MeshSizes) -> float:
+    """Edge length along rims [m]: short enough for the radius of a rigid object's, if that has one."""
+    radius = edge_radius(body) if body.rigid else 0.0
+    return min(sizes.rim, max(RIM_PER_RADIUS * radius, sizes.finest)) if radius else sizes.rim
 
 
 def _folded_rims(rims: Array, area: Footprint) -> Array:
@@ -109,7 +119,7 @@ def _block(low: Array, high: Array, field: SizeField, stretch: float, pieces: Ar
         local = local.reshape(-1, 4)
         # Seen from above a tet of any of the three shapes has a face of legs l: l, not its height, is what a face of the top will have.
         across = np.diff(at[local][:, TET_EDGES, :2], axis=2)[:, :, 0]
-        return np.sqrt(0.5 * (across**2).sum(axis=2).max(axis=1)) > LONGER * narrow(at)[local].min(axis=1)
+        return np.sqrt(0.5 * (across**2).sum(axis=2).max(axis=1)) > LONGER_ACROSS * narrow(at)[local].min(axis=1)
 
     points, tets = refine(*kuhn_box(cells), too_large)
     return lay_edges(place(points), tets, pieces, squeeze)

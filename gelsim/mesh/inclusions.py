@@ -17,7 +17,9 @@ from gelsim.errors import SceneError
 from gelsim.geometry import TriMesh, winding_numbers
 from gelsim.scene.definition import Body
 from gelsim.scene.materials import parts
-from gelsim.shape.shapes import DRAWN, NOT_CONVEX, TURNED, coarse_surface, hull_points, profile, runs, sides, solid
+from gelsim.scene.shape_table import SHAPES
+from gelsim.shape.outlines import profile, sides
+from gelsim.shape.shapes import coarse_surface, hull_points, runs, solid
 from gelsim.shape.solids import HULL_STEP, Array, Ball, Patch, Plane, Segment, Solid, patch_distances, solid_surface
 from gelsim.units import MM
 
@@ -58,13 +60,13 @@ def inclusions(body: Body, symmetry: frozenset[str], step: float = HULL_STEP) ->
 
 def flesh(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL_STEP) -> Solid:
     """What a skin encloses."""
-    thickness = body.skin.thickness_mm * MM
+    row, thickness = SHAPES[body.shape], body.skin.thickness_mm * MM
     segments = _moved_inward(profile(body), thickness)
     inner, length = body, 2 * (sides(body)[1] - thickness)
-    if not segments or (body.shape in DRAWN and length <= 0):
+    if not segments or (row.drawn and length <= 0):
         raise SceneError(f"object.skin.thickness_mm = {body.skin.thickness_mm:g} mm leaves nothing of the {body.shape} inside it")
-    patches: list[Patch] = [*runs(segments, body.shape in TURNED)]
-    if body.shape in DRAWN:
+    patches: list[Patch] = [*runs(segments, row.turned)]
+    if row.drawn:
         inner = replace(body, length_mm=length / MM)
         patches += [Plane((0.0, y, 0.0), length / 2) for y in (1.0, *(() if "y" in symmetry else (-1.0,)))]
     roles = ["contact"] * len(patches)
@@ -73,10 +75,9 @@ def flesh(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
     for axis in sorted(symmetry):
         patches.append(Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0))
         roles.append(axis)
-    if body.shape in NOT_CONVEX:
-        vertices, faces = coarse_surface(segments, (), inner, symmetry, step)
-        return Solid(tuple(patches), tuple(roles), vertices, faces)
-    return Solid(tuple(patches), tuple(roles), hull_points(segments, inner, symmetry, step))
+    if row.convex:
+        return Solid(tuple(patches), tuple(roles), hull_points(segments, inner, symmetry, step))
+    return Solid(tuple(patches), tuple(roles), *coarse_surface(segments, (), inner, symmetry, step))
 
 
 def _moved_inward(segments: tuple[Segment, ...], by: float) -> tuple[Segment, ...]:

@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from gelsim.geometry import FACE_EDGES, PlanarMesh, edges_of
 from gelsim.mesh.sizing import OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField, contact_edge
 from gelsim.scene.definition import Scene
-from gelsim.shape.shapes import TURNED, gel_height, press_depth, profile
+from gelsim.scene.shape_table import SHAPES
+from gelsim.shape.outlines import profile
+from gelsim.shape.shapes import gel_height, press_depth
 from gelsim.shape.solids import Array, Segment, Sizes, edge_middles, refine
 from gelsim.units import MM
 
@@ -39,7 +41,7 @@ def gel_radius(scene: Scene) -> float:
 
 
 def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | None = None) -> tuple[PlanarMesh, PlanarMesh]:
-    """The gel's and the object's profile, as they just touch; groups as of `meshing`'s solids. A rigid object has edges only.
+    """The gel's and the object's profile, as they just touch; groups as of the solids. A rigid object has edges only.
 
     Args:
         finer: Edges of a solid's mesh of this fidelity over these; `FINER` when left out.
@@ -50,7 +52,7 @@ def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | 
     sizes, depth = SIZES[scene.fidelity], press_depth(scene)
     finer = finer or FINER[scene.fidelity]
     segments = profile(scene.object)
-    turned = scene.object.shape in TURNED
+    turned = SHAPES[scene.object.shape].turned
     end = gel_end or (gel_radius(scene) if turned else scene.gel.size_mm[0] * MM / 2)
     half = min(overlap(scene) + _MARGIN, end)
     edge = contact_edge(Footprint((0.0, 0.0), (half, half), 1.0), sizes)

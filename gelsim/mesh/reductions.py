@@ -21,14 +21,12 @@ import numpy as np
 from gelsim.errors import SceneError
 from gelsim.mesh.profiles import overlap
 from gelsim.scene.definition import Scene
+from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.shapes import press_symmetry
 from gelsim.units import MM
 
 ALLOWED = {"fast": 0.02, "balanced": 0.007, "reference": 0.003}
 """Relative force error that a reduction may add."""
-TURNED = ("hemisphere", "cone", "punch", "frustum")
-DRAWN = ("cylinder", "edge", "flat", "box")
-"""Shapes whose profile is convex, as gelsim.mesh.profiles wants it."""
 PLANE_STRAIN_AT_25_MM = {"soft": 0.30, "rigid": 0.25}
 """Relative force error of plane strain on a gel of 25 mm against solids, rounded up (docs/mechanics.md)."""
 
@@ -90,25 +88,22 @@ def _against(scene: Scene, kind: str) -> str:
         return "the object has parts of several materials"
     if gel.prony_g or (body.prony_g and not body.rigid):
         return "a material relaxes (prony_g)"
+    made = "turned" if kind == "axisymmetric" else "drawn"
+    shapes = [name for name, row in SHAPES.items() if row.made == made and row.convex]  # as gelsim.mesh.profiles wants it
+    if body.shape not in shapes:
+        return f"object.shape = {body.shape!r} is none of {', '.join(shapes)}"
     if kind == "axisymmetric":
-        if body.shape not in TURNED:
-            return f"object.shape = {body.shape!r} is none of {', '.join(TURNED)}"
         if any(press.offset_mm) and gel.profile != "flat":
             return f"press.offset_mm = [{press.offset_mm[0]:g}, {press.offset_mm[1]:g}] mm on a gel that is not flat"
         return ""
-    if body.shape not in DRAWN:
-        return f"object.shape = {body.shape!r} is none of {', '.join(DRAWN)}"
     if gel.profile != "flat":
         return f"gel.profile = {gel.profile!r} is not flat"
     if any(press.offset_mm):
         return f"press.offset_mm = [{press.offset_mm[0]:g}, {press.offset_mm[1]:g}] is not zero"
-    if _length_mm(scene) < gel.size_mm[1]:
-        return f"the object is {_length_mm(scene):g} mm long, the gel {gel.size_mm[1]:g} mm"
+    length_mm = body.length_mm or SHAPES[body.shape].length_mm
+    if length_mm < gel.size_mm[1]:
+        return f"the object is {length_mm:g} mm long, the gel {gel.size_mm[1]:g} mm"
     return ""
-
-
-def _length_mm(scene: Scene) -> float:
-    return scene.object.length_mm or {"box": 15.0}.get(scene.object.shape, 25.0)
 
 
 def _axisymmetric_error(scene: Scene) -> float:

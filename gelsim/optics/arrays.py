@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from gelsim.optics.variant import VariantChoice, use_variant
+
 Values = Any
 """A one-dimensional float32, int32 or uint32 array of the backend."""
 
@@ -92,7 +94,7 @@ class NumPyArrays:
 
 
 class DrJitArrays:
-    """`backend` is "llvm" or "cuda"."""
+    """`backend` is "llvm" or "cuda"; made by `choose_arrays`."""
 
     def __init__(self, backend: str) -> None:
         import drjit
@@ -241,7 +243,10 @@ def mixed(ar: Arrays, source: Values, corners: list[tuple[Values, Values]], widt
     return [sum((p[i] * weight for p, weight in packets[1:]), packets[0][0][i] * packets[0][1]) for i in range(width)]
 
 
-def choose_arrays(variant: str) -> Arrays:
-    """What suits a Mitsuba variant: its own backend, or NumPy beside a scalar one."""
-    backend = variant.split("_")[0]
-    return DrJitArrays(backend) if backend in ("llvm", "cuda") else NumPyArrays()
+def choose_arrays(variant: VariantChoice) -> Arrays:
+    """What suits a Mitsuba variant: its own backend, for which it is selected, or NumPy beside a scalar one."""
+    backend = variant.name.split("_")[0]
+    if backend not in ("llvm", "cuda"):
+        return NumPyArrays()
+    use_variant(variant)
+    return DrJitArrays(backend)

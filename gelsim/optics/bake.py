@@ -31,11 +31,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.data import lightfield
 from gelsim.data.lightfield import PACKET, LightField, read_field, write_field
 from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
 from gelsim.optics.isp import develop
 from gelsim.optics.probes import bumpy_membrane, dented_membrane
+from gelsim.optics.render import Renderer
 from gelsim.optics.variant import VariantChoice
 from gelsim.results import Membrane
 from gelsim.scene.definition import Coating, Render, Scene
@@ -131,7 +133,7 @@ def field_key(scene: Scene) -> str:
     ]
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     folder = Path(__file__).parent
-    for source in sorted([*folder.glob("*.py"), folder.parent / "lightfield.py"]):
+    for source in sorted([*folder.glob("*.py"), Path(lightfield.__file__)]):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:32]
 
@@ -204,8 +206,6 @@ def _measure_local(
     scene: Scene, variant: VariantChoice, tick: Callable[[], None]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
     from threadpoolctl import threadpool_limits
-
-    from gelsim.optics.render import Renderer
 
     tiled = _tile_scene(scene)
     rng = np.random.default_rng(0)
@@ -286,8 +286,6 @@ def _spline_basis(knots: list[NDArray], places: NDArray) -> NDArray[np.float64]:
 
 def _measure_paint(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> NDArray[np.float32]:
     """By normal, what markers' paint returns as share of what the coat does: mean over places and channels."""
-    from gelsim.optics.render import Renderer
-
     paint = scene.markers.albedo
     tiled = _tile_scene(scene.replace(coating=Coating(albedo=(paint, paint, paint), specular=0.0)))
     renderer = Renderer(tiled, variant)
@@ -314,8 +312,6 @@ def _small(scene: Scene, mode: str, spp: int) -> Scene:
 
 
 def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> LightField:
-    from gelsim.optics.render import Renderer
-
     small = _small(scene, "path", PROBE_SPP)
     membranes = [rest_membrane(small), *(bumpy_membrane(small, seed) for seed in range(PROBES - 1))]
     drawn = {}
@@ -355,8 +351,6 @@ def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField,
 
 
 def _measure_error(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> dict[str, Any]:
-    from gelsim.optics.render import Renderer
-
     small = _small(scene, "path", UNSEEN_SPP)
     traced, baked = Renderer(small, variant), BakedRenderer(small, light_field, variant)
     quiet = small.replace(camera=replace(small.camera, noise_sd=(0.0, 0.0, 0.0)))

@@ -36,11 +36,11 @@ from gelsim.optics.camera import gel_ray, make_lens, pixel_size, project
 from gelsim.optics.coating import TEXEL, grain_pattern, marker_coverage
 from gelsim.optics.isp import Pipeline, as_picture, camera_pipeline, frame_keys, rest_on
 from gelsim.optics.lighting import light_pose
-from gelsim.optics.variant import VariantChoice, use_variant
+from gelsim.optics.variant import VariantChoice
 from gelsim.results import Membrane
 from gelsim.scene.definition import Scene
+from gelsim.units import MM_PER_M
 
-MM = 1e3
 CELL = 0.2
 """Of the grid over the gel for inter-reflection [mm]."""
 FINE_CELL = 0.1
@@ -72,9 +72,7 @@ class BakedRenderer:
         self._scene, self._field = scene, light_field
         self._like = like
         self._shadows, self._indirect = shadows, indirect
-        if not variant.name.startswith("scalar"):
-            use_variant(variant)
-        self._arrays: Arrays = choose_arrays(variant.name)
+        self._arrays: Arrays = choose_arrays(variant)
         self._tables: dict[str, Any] = {}
         self._layout: Layout | None = None
         self._draw: Any = None
@@ -164,7 +162,7 @@ class BakedRenderer:
         scene, light_field, put = self._scene, self._field, self._arrays.floats
         columns, rows = grid
         width, height = scene.render.resolution
-        shade = max(SHADE_PIXELS, round(SHADE_MM / (pixel_size(scene) * MM)))
+        shade = max(SHADE_PIXELS, round(SHADE_MM / (pixel_size(scene) * MM_PER_M)))
         size = np.array(scene.gel.size_mm)
         cells, fine = ((int(np.ceil(size[0] / cell)) + 1, int(np.ceil(size[1] / cell)) + 1) for cell in (CELL, FINE_CELL))
         self._tables = {"field": put(_packed(light_field.table))}
@@ -212,7 +210,7 @@ def surface_arrays(arrays: Arrays, membranes: Sequence[Membrane]) -> tuple[Value
     for n, membrane in enumerate(membranes):
         # By column: NumPy is slow at three numbers at a time.
         for axis in range(3):
-            np.multiply(membrane.positions[:, axis], MM, out=places[n, :, axis], casting="unsafe")
+            np.multiply(membrane.positions[:, axis], MM_PER_M, out=places[n, :, axis], casting="unsafe")
         for axis in range(2):
             normals[n, :, axis] = membrane.normals[:, axis]
     return arrays.floats(places), arrays.floats(normals)
@@ -245,7 +243,7 @@ def straight_rays(scene: Scene, column: NDArray[np.floating], row: NDArray[np.fl
     """
     origin, direction, _ = gel_ray(make_lens(scene), column, row)
     slope = [direction[axis] / direction[2] for axis in (0, 1)]
-    foot = [(origin[axis] - slope[axis] * origin[2]) * MM for axis in (0, 1)]
+    foot = [(origin[axis] - slope[axis] * origin[2]) * MM_PER_M for axis in (0, 1)]
     return np.stack(np.broadcast_arrays(*foot, *slope), axis=-1)
 
 

@@ -24,7 +24,7 @@ REACHES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33)
 """Of the samples along a direction of inter-reflection [cells]: near parts fill most of the view."""
 FAR = 1e6
 """Of a horizon that nothing makes."""
-NEWTON_STEPS = 4
+MEET_STEPS = 4
 """From the rest position, at starts; then one more at each pixel. Quadratic: four reach 0.01 pixel from a cell's edge."""
 
 
@@ -99,7 +99,7 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     horizons = arriving = None
     cells = st.cells[0] * st.cells[1]
     frame, cell = _lanes(ar, frames, cells)
-    below = meet(ar, st, places, normals, frame, ar.packet(t["plumb"], cell, 4), None, NEWTON_STEPS)
+    below = meet(ar, st, places, normals, frame, ar.packet(t["plumb"], cell, 4), None, MEET_STEPS)
     if st.samples:
         horizons = _horizons(ar, st, t, _fine_heights(ar, st, t, places, normals, below, frames), frames)
     if st.indirect:
@@ -115,7 +115,7 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     # At every few pixels: the start of Newton's method, and shadows.
     across, down = coarse_size(st.width, st.height, st.shade)
     frame, pixel = _lanes(ar, frames, across * down)
-    coarse = meet(ar, st, places, normals, frame, ar.packet(t["coarse"], pixel, 4), None, NEWTON_STEPS)
+    coarse = meet(ar, st, places, normals, frame, ar.packet(t["coarse"], pixel, 4), None, MEET_STEPS)
     starts = ar.interleave([coarse.column, coarse.row])
     shades = _visible(ar, st, t, horizons, frames, across * down, coarse) if horizons is not None else None
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelsim.optics.arrays import Arrays, Values
 from gelsim.optics.baked import material_grid, straight_rays, surface_arrays
-from gelsim.optics.baked_kernels import NEWTON_STEPS, MaterialGrid, meet, place_at_rest
+from gelsim.optics.baked_kernels import MEET_STEPS, MaterialGrid, meet, place_at_rest
 from gelsim.optics.camera import project
 from gelsim.results import Membrane
 from gelsim.scene.definition import Scene
@@ -35,7 +35,7 @@ class RestPlaces:
         def found(tables: dict[str, Any], places: Values, normals: Values) -> Values:
             pixel = arrays.range(width * height)
             row = pixel // width
-            seen = meet(arrays, grid, places, normals, pixel * 0, arrays.packet(tables["full"], pixel, 4), None, NEWTON_STEPS)
+            seen = meet(arrays, grid, places, normals, pixel * 0, arrays.packet(tables["full"], pixel, 4), None, MEET_STEPS)
             return arrays.interleave(place_at_rest(arrays, grid, tables["nodes"], seen, pixel - row * width, row))
 
         self._found = arrays.compiled(found)

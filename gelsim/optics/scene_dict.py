@@ -15,9 +15,7 @@ from gelsim.optics.coating import coating_dict
 from gelsim.optics.lighting import emitter_dict
 from gelsim.results import Membrane
 from gelsim.scene.definition import Scene
-
-MM = 1e3
-"""Millimetres in a metre."""
+from gelsim.units import MM_PER_M
 
 INTEGRATORS = {
     # Depth 4: light, membrane and up to two more reflections; a third adds less than albedo³ times a dent's view of itself, below 0.5 %.
@@ -59,7 +57,7 @@ def camera_dict(scene: Scene) -> dict:
     width, height = scene.render.resolution
     distance = apparent_distance(scene)
     pose = np.diag([-1.0, -1.0, 1.0, 1.0])
-    pose[2, 3] = -distance * MM
+    pose[2, 3] = -distance * MM_PER_M
     return {
         "type": "perspective",
         "fov": float(np.degrees(2 * np.arctan(width * pixel_size(scene) / 2 / distance))),
@@ -97,6 +95,6 @@ def moving_arrays(membrane: Membrane, scene: Scene | None = None) -> dict[str, n
     """What of `mesh_arrays` changes from frame to frame."""
     positions = membrane.positions if scene is None else apparent_positions(scene, membrane.positions)
     return {
-        "vertex_positions": np.ascontiguousarray(positions * MM, np.float32),
+        "vertex_positions": np.ascontiguousarray(positions * MM_PER_M, np.float32),
         "vertex_normals": np.ascontiguousarray(-membrane.normals, np.float32),
     }

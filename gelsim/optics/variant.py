@@ -2,11 +2,13 @@
 
 CUDA if it works, else LLVM, else scalar. Some builds of libLLVM end the whole process instead of raising an error (Debian's 14 and 15 do),
 and a GPU's driver may lack OptiX: so each candidate renders a small picture in a child process first. The child's verdict is kept in the
-cache folder, under a key that changes with the library, Mitsuba and Dr.Jit.
+cache folder, under a key that changes with the library, Mitsuba and Dr.Jit. The libLLVM that drew is the one that this process loads,
+whichever variant it uses first.
 """
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
 import functools
 import glob
@@ -69,11 +71,22 @@ def choose_variant(device: str = "auto") -> VariantChoice:
 
 
 def use_variant(choice: VariantChoice) -> ModuleType:
-    """Selects the variant for this process and returns the module `mitsuba`."""
-    if choice.llvm_path:
-        os.environ["DRJIT_LIBLLVM_PATH"] = choice.llvm_path
+    """Selects the variant for this process and returns the module `mitsuba`: the only door to it, and to Dr.Jit.
+
+    Raises:
+        RenderError: The variant wants a library, and Dr.Jit was imported with another one.
+    """
+    # Dr.Jit loads a libLLVM once, when it is imported, whatever the variant: a later one of this process may be LLVM's.
+    if "drjit" not in sys.modules and (library := choice.llvm_path or choose_variant("cpu").llvm_path):
+        os.environ["DRJIT_LIBLLVM_PATH"] = library
     import mitsuba
 
+    if choice.llvm_path and not _is_loaded(choice.llvm_path):
+        loaded = ", ".join(filter(_is_loaded, llvm_libraries())) or "no libLLVM that is known here"
+        raise RenderError(
+            f"{choice.llvm_path} was chosen to draw, but Dr.Jit, imported before, has {loaded} loaded already and takes no other: "
+            f"set DRJIT_LIBLLVM_PATH={choice.llvm_path}, or render by gelsim before anything imports mitsuba or drjit"
+        )
     if mitsuba.variant() != choice.name:
         mitsuba.set_variant(choice.name)
         if "llvm" in choice.name and (threads := os.environ.get("OMP_NUM_THREADS", "")).isdigit():
@@ -81,6 +94,17 @@ def use_variant(choice: VariantChoice) -> ModuleType:
 
             drjit.set_thread_count(int(threads))  # Dr.Jit itself takes all cores, whatever the environment says
     return mitsuba
+
+
+def _is_loaded(library: str) -> bool:
+    """Whether this process has the library loaded; Windows cannot be asked."""
+    if sys.platform == "win32":
+        return True
+    try:
+        ctypes.CDLL(library, mode=os.RTLD_NOLOAD)
+    except OSError:
+        return False
+    return True
 
 
 @functools.cache

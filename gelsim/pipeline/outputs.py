@@ -34,7 +34,7 @@ RESULTS = "scene.toml", "report.json", "press.npz", "probe.csv", *PICTURES
 """Names that gelsim writes into a result folder; `force` removes these and nothing else."""
 
 ACCOUNT = {"meshes": dict, "choices": dict, "warnings": list, "info": dict, "mesh_sha256": str}
-"""What press.npz holds for the report of a press that is taken from it (`pipeline.Record`, `Deformation.info`), and of its mesh file."""
+"""What press.npz holds for the report of a press that is taken from it (`stages.Record`, `Deformation.info`), and of its mesh file."""
 
 VIDEO_SECONDS = 2.5
 """A press lasts about this long in video.mp4 (in truth: depth over speed, 0.2 s): long enough to look at ten frames."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gelsim.results import Deformation, Frame, SurfaceMotion
 from gelsim.scene.definition import Scene
 from gelsim.scene.materials import hardness_label
+from gelsim.scene.shape_table import SHAPES
 from gelsim.units import KPA, MM
 
 FRAMES_SHOWN = 6
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 def describe_scene(scene: Scene) -> str:
     """The press in one line."""
     body, press = scene.object, scene.press
-    size = f", R {body.radius_mm:g} mm" if body.shape in ("cylinder", "hemisphere", "punch", "cone", "frustum") else ""
+    size = f", R {body.radius_mm:g} mm" if SHAPES[body.shape].has_radius else ""
     name = Path(body.mesh).name if body.mesh else body.shape
     hardness = "rigid" if body.rigid else hardness_label(body)
     friction = scene.contact.friction_coefficient

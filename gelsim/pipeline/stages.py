@@ -138,7 +138,8 @@ def _press_solid(
     enough: Callable[[Deformation], bool] | None,
 ) -> Deformation:
     """The press as a solid; of the object's meshes the one with which it got furthest."""
-    from gelsim.fem import further, solve_press
+    from gelsim.fem import solve_press
+    from gelsim.fem.strategy import further
 
     best, meshes = None, {}
     for draw in range(1 if scene.object.rigid else DRAWS):
@@ -224,6 +225,7 @@ def _bodies(
 ) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any, Any]]:
     """Meshes of gel and object (the draw-th one of it), of a rigid one its surface, and the object's placement at first touch."""
     with record.stage("import"):
+        from gelsim.fem import rigid_placement
         from gelsim.mesh import body_mesh, gel_mesh
         from gelsim.shape import shapes
     with record.stage("mesh"):
@@ -239,7 +241,10 @@ def _bodies(
             record.meshes["object"] = body_mesh.mesh_report(body, materials.parts(scene.object))
         gel = gel_mesh.mesh_gel(scene, symmetry)
         record.meshes["gel"] = body_mesh.mesh_report(gel)
-        placement = shapes.placement(scene, surface)
+        if scene.object.rigid:
+            placement = rigid_placement(scene, surface)
+        else:
+            placement = shapes.placement(scene, surface)
         return gel, body, placement
 
 

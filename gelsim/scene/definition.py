@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 from gelsim.errors import MaterialError, SceneError, within
 from gelsim.scene import materials
 from gelsim.scene.fields import convert, field_types, share, which
-from gelsim.scene.limits import SHADING_DEGREES, WITH_PARTS, check_limits
+from gelsim.scene.limits import LIMITS, SHADING_DEGREES, check_limits
+from gelsim.scene.shape_table import SHAPES
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
@@ -139,6 +140,9 @@ class Body:
     """A watertight STL, OBJ or PLY file (shape = "mesh"), its lowest point the contact apex."""
     mesh_unit: str = "mm"
     """"mm" | "cm" | "m" | "in"."""
+    edge_radius_mm: float | None = None
+    """Radius of a rigid object's rims and edges (0.1 by default, a quarter of its smallest feature at most, 0 for a punch). 0: as sharp as
+    can be resolved, 0.04."""
     rigid: bool = False
     """True: the object does not deform; no finite elements for it, only its surface."""
     shore_00: float | None = None
@@ -165,10 +169,10 @@ class Body:
         if self.rigid:
             return
         _default_hardness(self, 30.0)
-        if self.shape == "tomato" and self.skin == Skin():
-            object.__setattr__(self, "skin", Skin(thickness_mm=0.5, shore_a=20.0))
-        if self.shape == "candy" and self.grains == Grains():
-            object.__setattr__(self, "grains", Grains(count=20, shore_a=45.0))
+        row = SHAPES.get(self.shape) if isinstance(self.shape, str) else None  # what it is is checked later
+        for name, part in (("skin", Skin), ("grains", Grains)):
+            if row and getattr(self, name) == part():
+                object.__setattr__(self, name, part(**getattr(row, name)))
 
 
 @dataclass(frozen=True)
@@ -182,7 +186,8 @@ class Press:
     depth_mm: float | None = 1.0
     """Total approach of the object's base from first touch."""
     force_n: float | None = 9.0
-    """Stop early at this normal force; either may be left out, not both."""
+    """Stop early at this normal force; either may be left out, not both. A depth_mm that is given without it is reached, whatever the
+    force."""
     frames: int = 10
     """Recorded states, equally spaced in approach; the first is first touch."""
     tilt_deg: Vec2 = (0.0, 0.0)
@@ -403,7 +408,7 @@ def _check(scene: Scene) -> None:
     if press.hold_s and not (gel.prony_g or (body.prony_g and not body.rigid)):
         raise SceneError(f"press.hold_s = {press.hold_s:g} s: nothing relaxes meanwhile; give gel.prony_g or object.prony_g, or no hold_s")
     if press.depth_mm is not None:
-        if press.depth_mm >= body.height_mm and body.shape != "mesh":
+        if press.depth_mm >= body.height_mm and SHAPES[body.shape].made != "file":
             raise SceneError(f"press.depth_mm = {press.depth_mm:g} mm: it must be less than object.height_mm = {body.height_mm:g} mm")
         if body.rigid and press.depth_mm > 0.8 * gel.thickness_mm:
             raise SceneError(
@@ -441,8 +446,9 @@ def _check_parts(body: Body) -> None:
         present = name.split(".")[1] in materials.parts(body)
         if present and not given:
             raise SceneError(f"{name} has no hardness: give exactly one of {', '.join(STIFFNESS)}")
-        if present and body.shape not in WITH_PARTS:
-            raise SceneError(f'{name}.{key} = {getattr(part, key):g}: shape = "{body.shape}" has none; allowed for {", ".join(WITH_PARTS)}')
+        if present and not SHAPES[body.shape].has_parts:
+            may = ", ".join(shape for shape, row in SHAPES.items() if row.has_parts)
+            raise SceneError(f'{name}.{key} = {getattr(part, key):g}: shape = "{body.shape}" has none; allowed for {may}')
         if given and not present:
             raise SceneError(f"{given[0]}, but {name}.{key} = 0: give {key} too, or neither")
 
@@ -503,25 +509,25 @@ def _check_view(scene: Scene) -> None:
 
 
 def _check_object(body: Body) -> None:
-    if (body.shape == "mesh") != (body.mesh is not None):
+    row = SHAPES[body.shape]
+    if (row.made == "file") != (body.mesh is not None):
         if body.mesh is None:
             raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
         raise SceneError(f'object.mesh = {body.mesh!r} is given, but object.shape = {body.shape!r}: say shape = "mesh"')
-    if body.shape in ("tube", "shell", "torus") and body.wall_mm is not None:
-        most = (2.0 if body.shape == "torus" else 0.9) * body.radius_mm
+    if row.wall and body.wall_mm is not None:
+        most = row.most_wall * body.radius_mm
         if body.wall_mm > most:
             raise SceneError(f"object.wall_mm = {body.wall_mm:g} mm: allowed for a {body.shape} of that radius_mm is up to {most:g} mm")
-    tall = {"tube": 1.8 * body.radius_mm, "tomato": 1.8 * body.radius_mm, "shell": body.radius_mm}.get(body.shape, 0.0)
-    if body.shape == "torus":
-        tall = (body.wall_mm or 0.5 * body.radius_mm) / 2
+    of_radius, of_wall = row.least_height
+    tall = of_radius * body.radius_mm + of_wall * (body.wall_mm or row.wall * body.radius_mm)
     if body.height_mm <= tall:
         raise SceneError(f"object.height_mm = {body.height_mm:g} mm: a {body.shape} needs more than {tall:g} mm, and a foot above that")
     steepest = 1.5 / math.pi  # of amplitude over wavelength: slopes of 56 degrees
-    if body.shape in ("wave", "emboss", "rough") and body.amplitude_mm > steepest * body.wavelength_mm:
+    if row.relief and body.amplitude_mm > steepest * body.wavelength_mm:
         raise SceneError(
             f"object.amplitude_mm = {body.amplitude_mm:g} mm: allowed is up to {steepest * body.wavelength_mm:.3g} mm, "
             f"0.48 of object.wavelength_mm = {body.wavelength_mm:g} mm"
         )
-    small = {"hemisphere": body.rigid, "cylinder": body.rigid}.get(body.shape, True)
-    if not small and body.radius_mm < 2.5:
-        raise SceneError(f"object.radius_mm = {body.radius_mm:g} mm: allowed for a soft {body.shape} is 2.5 … 50 mm")
+    if not body.rigid and body.radius_mm < row.least_soft_radius_mm:
+        allowed = f"{row.least_soft_radius_mm:g} … {LIMITS['object.radius_mm'][1]:g} mm"
+        raise SceneError(f"object.radius_mm = {body.radius_mm:g} mm: allowed for a soft {body.shape} is {allowed}")

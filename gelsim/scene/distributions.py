@@ -117,7 +117,7 @@ def _check_value(value: Any, where: str, name: str | None) -> None:
         raise SceneError(f"{where} = {value}: expected a finite number")
     if name is None:
         return
-    if name in CHOICES and value not in CHOICES[name]:
+    if name in CHOICES and value not in tuple(CHOICES[name]):
         raise SceneError(f"{where} = {value!r}: allowed for {name} are {', '.join(CHOICES[name])}{nearest(str(value), CHOICES[name])}")
     if name in LIMITS and is_number(value):
         low, high = LIMITS[name]

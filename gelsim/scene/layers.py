@@ -3,6 +3,7 @@
 A layer is a nested dictionary with the keys of the dataclasses in `gelsim.scene.definition`. A later layer beats an earlier one field by
 field, with two exceptions: of shore_00, shore_a and youngs_modulus_kpa in a table the one given last displaces whichever came before, and
 another law displaces the constants of the one before. TOML has no null; the text "none" stands for it (`depth_mm = "none"`).
+The [expect] table of a scene file is no part of the scene: it is checked and left behind (`gelsim.scene.expectation`).
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import dataclasses
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from gelsim.errors import MaterialError, SceneError, within
 from gelsim.scene.definition import STIFFNESS, Grains, LawConstants, Scene, Sensor, Skin
+from gelsim.scene.expectation import Expectation, read_expectation
 from gelsim.scene.fields import field_types, known_key, nearest
 
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
@@ -71,6 +73,9 @@ def build_scene(*layers: Layer) -> Scene:
                 merged[key] = _overlaid(merged.get(key, {}), value)
             else:
                 merged[key] = value
+    press = merged.get("press", {})
+    if "force_n" not in press and str(press.get("depth_mm")).lower() != "none":
+        merged["press"] = {**press, "force_n": None}  # a depth that is given is reached
     try:
         return Scene(**merged)
     except (SceneError, MaterialError) as error:
@@ -102,12 +107,34 @@ def _overlaid(below: Layer, above: Layer) -> Layer:
     return table
 
 
+def nested(fields: Mapping[str, Any]) -> Layer:
+    """A layer of a scene from values by full name, such as "gel.thickness_mm"."""
+    layer: Layer = {}
+    for name, value in fields.items():
+        *path, key = name.split(".")
+        table = layer
+        for step in path:
+            table = table.setdefault(step, {})
+        table[key] = value
+    return layer
+
+
 def read_layer(path: str | Path) -> Layer:
-    """One TOML file as a layer, with the paths in it made absolute."""
+    """One TOML file as a layer, with the paths in it made absolute; without its [expect]."""
     path = Path(path)
     layer = read_toml(path, "scene file")
+    read_expectation(layer.pop("expect", {}))
     _check_layer(layer)
     return anchored(layer, path.parent.resolve())
+
+
+def load_expectation(path: str | Path) -> Expectation:
+    """The [expect] table of a scene file; nothing is expected where it has none.
+
+    Raises:
+        SceneError: No such file, not TOML, or a table that cannot be read.
+    """
+    return read_expectation(read_toml(Path(path), "scene file").get("expect", {}))
 
 
 def anchored(layer: Layer, folder: Path) -> Layer:

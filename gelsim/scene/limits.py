@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 
 from gelsim.errors import SceneError, within
 from gelsim.scene import materials
 from gelsim.scene.fields import nearest, which
+from gelsim.scene.shape_table import SHAPES
 from gelsim.units import MESH_UNITS, unit_of
 
-CHOICES: dict[str, tuple[str, ...]] = {
+CHOICES: dict[str, Collection[str]] = {
     "fidelity": ("fast", "balanced", "reference"),
     "gel.profile": ("dome", "flat"),
-    "object.shape": (
-        *("flat", "hemisphere", "cylinder", "edge", "corner", "cone", "box", "frustum", "punch", "tube", "shell", "torus", "tomato"),
-        *("candy", "wave", "emboss", "rough", "mesh"),
-    ),
+    "object.shape": SHAPES.keys(),
     "object.mesh_unit": tuple(MESH_UNITS),
     "object.law": materials.LAWS,
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
@@ -23,9 +22,6 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "camera.tone": ("srgb", "linear"),
     "render.mode": ("baked", "path", "direct", "auto"),
 }
-
-WITH_PARTS = ("flat", "hemisphere", "cylinder", "edge", "cone", "box", "frustum", "punch", "tomato", "candy")
-"""Shapes that may have a skin and grains."""
 
 SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
 """Terms of a polynomial over the picture without its constant -> its degree."""
@@ -49,6 +45,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "object.length_mm": (0.5, 100),
     "object.angle_deg": (10, 170),
     "object.wall_mm": (0.2, 50),
+    "object.edge_radius_mm": (0, 5),
     "object.amplitude_mm": (0, 5),
     "object.wavelength_mm": (0.5, 50),
     "object.pattern_seed": (0, 2**32 - 1),

@@ -1,9 +1,9 @@
 """What is pressed and what it is pressed into: exact shapes of objects and of the gel, their surfaces, symmetry and placement.
 
 An object is described in its own frame: the contact apex (its lowest point) at the origin, +z up to the base plane at z = height, which is
-fixed to the platen. A parametric shape is a solid of smooth patches (`gelsim.shape.solids`): a profile of lines and arcs, turned about z
-(hemisphere, cone, punch, frustum, shell, torus, tomato) or drawn along y (cylinder, edge, flat, box, tube, candy), with planes for its ends
-and its base; the corner is planes alone; wave, emboss and rough are blocks with a sum of cosines for an underside. A `mesh` shape keeps its
+fixed to the platen. A parametric shape is a solid of smooth patches (`gelsim.shape.solids`), made as its row in `gelsim.scene.shape_table`
+says: a profile turned about z or drawn along y, with planes for its ends and its base; planes alone; or a block with a sum of cosines for
+an underside. The lines, arcs and waves themselves are in `gelsim.shape.outlines`. A shape of a file keeps its
 own flat facets. What lies inside an object, skin and grains, is in `gelsim.mesh.inclusions`.
 
 Left out: fillets on the sharp rims (a real cast has 0.1 mm or so).
@@ -19,11 +19,12 @@ import numpy as np
 from gelsim.errors import SceneError
 from gelsim.geometry import AXES, FACE_EDGES, QuadraticSurface, TriMesh, edges_of, face_shape_functions, quadratic_faces
 from gelsim.scene.definition import Body, Gel, Scene
+from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import read_surface
+from gelsim.shape.outlines import PLANES, Profile, bore, profile, sides, underside
 from gelsim.shape.solids import (
     HULL_STEP,
     Array,
-    HeightField,
     Patch,
     Plane,
     Segment,
@@ -40,120 +41,19 @@ from gelsim.shape.solids import (
 )
 from gelsim.units import DEG, MM
 
-TURNED = ("hemisphere", "cone", "punch", "frustum", "shell", "torus", "tomato")
-DRAWN = ("cylinder", "edge", "flat", "box", "tube", "candy")
-NOT_CONVEX = ("tube", "shell", "torus", "tomato")
-"""Of these the coarse surface is made from the profile."""
-RELIEFS = ("wave", "emboss", "rough")
-BUMPY = ("emboss", "rough")
-"""Curved both ways within a wave's length: coarser faces do not follow that."""
-FOOT = 0.6
-"""Half width of the foot above a tube or a tomato, over its radius."""
-SAMPLE_WIDTH = 25e-3
-"""Width of the caps cut from large balls and rods [m] (interfaces.md §2)."""
-_WIDTH_MM = {"box": 10.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
-_LENGTH_MM = {"box": 15.0, "candy": 10.0} | dict.fromkeys(RELIEFS, 10.0)
-"""Where 25 mm is not the default."""
-_ANGLE_DEG = {"edge": 90.0, "cone": 90.0, "frustum": 75.0}
 _FINE = 0.25e-3
 """Edge length of a rigid surface in the contact [m]: its six-node faces lie within 20 nm of a ball of 5 mm (test_shapes.py)."""
 
 
-# ---------------------------------------------------------------------------------------------------------------- parameters
-def height(body: Body) -> float:
-    """From the apex to the base [m]; of a mesh its extent in z."""
-    return float(load_mesh(body).vertices[:, 2].max()) if body.shape == "mesh" else body.height_mm * MM
-
-
-def profile(body: Body) -> tuple[Segment, ...]:
-    """The profile from the axis to the base, as (r, z) or (x, z) segments [m]."""
-    h, r = body.height_mm * MM, body.radius_mm * MM
-    half = _width(body) / 2
-    if body.shape in ("hemisphere", "cylinder"):
-        wide = r if r <= h else min(SAMPLE_WIDTH / 2, np.sqrt(h * (2 * r - h)), r)
-        rise = r - np.sqrt(max(r**2 - wide**2, 0.0))
-        if rise > h * (1 - 1e-9):
-            wide, rise = np.sqrt(h * (2 * r - h)), h
-        return _with_foot(Segment((0.0, 0.0), (wide, rise), r), h)
-    if body.shape in ("cone", "edge"):
-        slope = 1.0 / np.tan(_angle(body) / 2)
-        wide = min(r if body.shape == "cone" else half, h / slope)
-        return _with_foot(Segment((0.0, 0.0), (wide, wide * slope)), h)
-    if body.shape in ("tube", "tomato"):
-        neck = (FOOT * r, r + r * np.sqrt(1.0 - FOOT**2))
-        return Segment((0.0, 0.0), neck, r), Segment(neck, (neck[0], h))
-    if body.shape == "shell":
-        return _with_foot(Segment((0.0, 0.0), (r, r), r), h)
-    if body.shape == "torus":
-        ring = wall(body) / 2
-        return (
-            Segment((0.0, ring), (r - ring, ring)),
-            Segment((r - ring, ring), (r + ring, ring), ring, (r, ring)),
-            Segment((r + ring, ring), (r + ring, h)),
-        )
-    if body.shape == "frustum":
-        top = r + h / np.tan(_angle(body))
-        return Segment((0.0, 0.0), (r, 0.0)), Segment((r, 0.0), (top, h))
-    half = r if body.shape == "punch" else half
-    return _with_foot(Segment((0.0, 0.0), (half, 0.0)), h)
-
-
-def _bore(body: Body) -> tuple[Segment, ...]:
-    """The profile of the hollow of a tube or a shell, from its top down; of others none."""
-    h, r = body.height_mm * MM, body.radius_mm * MM
-    inner = r - wall(body)
-    if body.shape == "tube":
-        return (Segment((0.0, r + inner), (0.0, r - inner), -inner, (0.0, r)),)
-    if body.shape == "shell":
-        return Segment((inner, h), (inner, r)), Segment((inner, r), (0.0, r - inner), -inner, (0.0, r))
-    return ()
-
-
-def wall(body: Body) -> float:
-    """Of tube and shell; the thickness of a torus' ring [m]."""
-    return (body.wall_mm or (0.5 if body.shape == "torus" else 0.2) * body.radius_mm) * MM
-
-
-def fine_feature(body: Body) -> float:
-    """The shortest wave of an uneven underside, or the thickness of a torus' ring [m], which both meshes follow; infinite without one."""
-    if body.shape == "torus":
-        return wall(body)
-    return body.wavelength_mm * MM if body.shape in RELIEFS and body.amplitude_mm else np.inf
-
-
-def _with_foot(tip: Segment, h: float) -> tuple[Segment, ...]:
-    wide, rise = tip.end
-    return (tip,) if rise > h * (1 - 1e-9) else (tip, Segment(tip.end, (wide, h)))
-
-
-def sides(body: Body) -> tuple[float, float]:
-    """Half of what a block or a drawn shape measures along x and y [m]."""
-    return _width(body) / 2, _length(body) / 2
-
-
-def _width(body: Body) -> float:
-    """Along x [m]."""
-    return (body.width_mm or _WIDTH_MM.get(body.shape, 25.0)) * MM
-
-
-def _length(body: Body) -> float:
-    """Along y, of drawn shapes [m]."""
-    return (body.length_mm or _LENGTH_MM.get(body.shape, 25.0)) * MM
-
-
-def _angle(body: Body) -> float:
-    angle = body.angle_deg or _ANGLE_DEG[body.shape]
-    if body.shape == "frustum" and not 45.0 <= angle <= 90.0:
-        raise SceneError(f"object.angle_deg = {angle:g}°: allowed for a frustum is 45 … 90°, between its flank and its base")
-    return angle * DEG
-
-
 # ---------------------------------------------------------------------------------------------------------------- solids
+def of_file(body: Body) -> bool:
+    """Whether it is the facets of a mesh file, and no solid of smooth patches."""
+    return SHAPES[body.shape].made == "file"
+
+
 def shape_symmetry(body: Body) -> frozenset[str]:
     """Mirror planes of the object in its own frame: "x" is the plane x = 0."""
-    if body.shape in ("mesh", "rough") or (body.grains.count and not body.rigid):
-        return frozenset()
-    return frozenset("x") if body.shape == "corner" else frozenset("xy")
+    return frozenset() if body.grains.count and not body.rigid else frozenset(SHAPES[body.shape].mirror)
 
 
 def press_symmetry(scene: Scene) -> frozenset[str]:
@@ -173,35 +73,27 @@ def press_symmetry(scene: Scene) -> frozenset[str]:
 @lru_cache(maxsize=64)
 def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL_STEP) -> Solid:
     """The exact shape, cut at the planes of `symmetry`, of which its positive side stays; `step` [rad] between a turned hull's corners."""
-    assert body.shape != "mesh" and symmetry <= shape_symmetry(body)
-    if body.shape in RELIEFS:
+    row = SHAPES[body.shape]
+    assert row.made != "file" and symmetry <= shape_symmetry(body)
+    if row.relief:
         return _relief(body, symmetry)
-    h = body.height_mm * MM
     patches: list[Patch] = []
-    faces = None
-    if body.shape == "corner":
-        half = _width(body) / 2
-        for azimuth in np.array([90.0, 210.0, 330.0]) * DEG:
-            patches.append(Plane((np.sqrt(2 / 3) * np.cos(azimuth), np.sqrt(2 / 3) * np.sin(azimuth), -np.sqrt(1 / 3)), 0.0))
-        patches += [Plane(n, half) for n in ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))]
-        if "x" in symmetry:
-            del patches[3]
-        hull = None
+    hull = faces = None
+    if row.made == "planes":
+        patches += PLANES[body.shape](body, symmetry)
     else:
-        segments = profile(body)
-        patches += runs(segments, body.shape in TURNED)
-        if body.shape in NOT_CONVEX:
-            bore = _bore(body)
-            patches += runs(bore, body.shape in TURNED) if bore else []
-            hull, faces = coarse_surface(segments, bore, body, symmetry, step)
-        else:
+        segments, hollow = profile(body), bore(body)
+        patches += runs(segments, row.turned)
+        if row.convex:
             hull = hull_points(segments, body, symmetry, step)
-        if body.shape in DRAWN:
-            patches.append(Plane((0.0, 1.0, 0.0), _length(body) / 2))
-            if "y" not in symmetry:
-                patches.append(Plane((0.0, -1.0, 0.0), _length(body) / 2))
+        else:
+            patches += runs(hollow, row.turned) if hollow else []
+            hull, faces = coarse_surface(segments, hollow, body, symmetry, step)
+        if row.drawn:
+            half = sides(body)[1]
+            patches += [Plane((0.0, y, 0.0), half) for y in (1.0, *(() if "y" in symmetry else (-1.0,)))]
     roles = ["contact"] * len(patches)
-    patches.append(Plane((0.0, 0.0, 1.0), h))
+    patches.append(Plane((0.0, 0.0, 1.0), body.height_mm * MM))
     roles.append("base")
     for axis in sorted(symmetry):
         patches.append(Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0))
@@ -209,32 +101,30 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
     return Solid(tuple(patches), tuple(roles), _polyhedron(patches) if hull is None else hull, faces)
 
 
-def coarse_surface(
-    segments: tuple[Segment, ...], bore: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float
-) -> tuple[Array, np.ndarray]:
+def coarse_surface(segments: Profile, hollow: Profile, body: Body, symmetry: frozenset[str], step: float) -> tuple[Array, np.ndarray]:
     """Vertices and faces of a shape that is not convex, from its profile and that of its hollow."""
     line = _polyline(segments)
-    if bore:
-        hollow = _polyline(bore)
-        top = [[0.0, line[-1, 1]]] if hollow[0, 1] < line[-1, 1] else []
-        outline = np.vstack([line, *top, hollow])
+    if hollow:
+        within = _polyline(hollow)
+        top = [[0.0, line[-1, 1]]] if within[0, 1] < line[-1, 1] else []
+        outline = np.vstack([line, *top, within])
     else:
         outline = np.vstack([line, [0.0, line[-1, 1]]])
-    vertices, faces = swept(outline, body.shape in TURNED, _length(body) / 2, step)
+    vertices, faces = swept(outline, SHAPES[body.shape].turned, sides(body)[1], step)
     for axis in sorted({"x", "y"} - symmetry):
         vertices, faces = mirrored(vertices, faces, axis)
     return vertices, faces
 
 
-def _polyline(segments: tuple[Segment, ...]) -> Array:
+def _polyline(segments: Profile) -> Array:
     return np.vstack([segments[0].samples()] + [s.samples()[1:] for s in segments[1:]])
 
 
 def _relief(body: Body, symmetry: frozenset[str]) -> Solid:
     """A block with an uneven underside, its lowest point at z = 0."""
-    high = np.array([_width(body), _length(body)]) / 2
+    high = np.array(sides(body))
     low = np.where([axis in symmetry for axis in "xy"], 0.0, -high)
-    field = _underside(body)
+    field = underside(body)
     counts = np.maximum(4, np.ceil((high - low) / (body.wavelength_mm * MM / 8)).astype(int))
     x, y = (np.linspace(a, b, n + 1) for a, b, n in zip(low, high, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -255,36 +145,7 @@ def _relief(body: Body, symmetry: frozenset[str]) -> Solid:
     return Solid((field, *planes), roles, vertices, np.vstack([np.stack(three, axis=1) for three in faces]).astype(np.int32))
 
 
-@lru_cache(maxsize=16)
-def _underside(body: Body) -> HeightField:
-    """wave: (A/2)(1 - cos kx). emboss: A (1 - (1 + cos kx)(1 + cos ky)/4), dots in a square grid, one at the apex. rough: 64 waves of one
-    size, of random direction and phase, their wave numbers spread evenly over the areas of rings between a quarter and the whole of k."""
-    size, k = body.amplitude_mm * MM, 2 * np.pi / (body.wavelength_mm * MM)
-    if body.shape == "wave":
-        return HeightField(size / 2, ((k, 0.0, 0.0, -size / 2),))
-    if body.shape == "emboss":
-        quarter = -size / 4
-        across = ((k, 0.0, 0.0, quarter), (0.0, k, 0.0, quarter), (k, k, 0.0, quarter / 2), (k, -k, 0.0, quarter / 2))
-        return HeightField(0.75 * size, across)
-    rng, count = np.random.default_rng(body.pattern_seed), 64
-    numbers = k * np.sqrt((1 / 16) + (15 / 16) * (np.arange(count) + 0.5) / count)
-    direction, phase = rng.uniform(0, np.pi, count), rng.uniform(0, 2 * np.pi, count)
-    each = size * np.sqrt(2.0 / count)
-    field = HeightField(0.0, tuple((n * np.cos(d), n * np.sin(d), p, each) for n, d, p in zip(numbers, direction, phase, strict=True)))
-    lines = [
-        np.linspace(-half, half, 1 + int(np.ceil(40 * half / (body.wavelength_mm * MM)))) for half in (_width(body) / 2, _length(body) / 2)
-    ]
-    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
-    # from the lowest of 20 points a wavelength straight down the slope: a few steps of 1/curvature bring a nanometre's rest to nothing
-    low = grid[field.heights(grid)[0].argmin()][None]
-    for _ in range(50):
-        low = np.clip(
-            low - field.heights(low)[1] / (4 * k**2 * max(size, 1e-9)), [-lines[0][-1], -lines[1][-1]], [lines[0][-1], lines[1][-1]]
-        )
-    return HeightField(-float(field.heights(low)[0][0]), field.waves)
-
-
-def runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
+def runs(segments: Profile, turned: bool) -> list[Sweep]:
     """Cuts a profile at its creases."""
     runs = [[segments[0]]]
     for before, after in zip(segments[:-1], segments[1:], strict=True):
@@ -295,16 +156,17 @@ def runs(segments: tuple[Segment, ...], turned: bool) -> list[Sweep]:
     return [Sweep(tuple(run), turned) for run in runs]
 
 
-def hull_points(segments: tuple[Segment, ...], body: Body, symmetry: frozenset[str], step: float) -> Array:
+def hull_points(segments: Profile, body: Body, symmetry: frozenset[str], step: float) -> Array:
     """Corners of a coarse polyhedron; no three on a line, so that the hull keeps each of them."""
     line = _polyline(segments)
     low, h = line[0, 1], line[-1, 1]
     pointed = line[1, 1] > low
-    if body.shape not in TURNED:
+    if not SHAPES[body.shape].turned:
         right = line if pointed or "x" in symmetry else line[1:]
         left = np.array([[0.0, h]]) if "x" in symmetry else (line[1:] * [-1.0, 1.0])
         flat = np.vstack([right, left])
-        ends = [0.0 if "y" in symmetry else -_length(body) / 2, _length(body) / 2]
+        half = sides(body)[1]
+        ends = [0.0 if "y" in symmetry else -half, half]
         return np.vstack([np.insert(flat, 1, y, axis=1) for y in ends])
     begin = {0: -np.pi, 1: -np.pi / 2 if "x" in symmetry else 0.0, 2: 0.0}[len(symmetry)]
     end = {0: np.pi, 1: np.pi / 2 if "x" in symmetry else np.pi, 2: np.pi / 2}[len(symmetry)]
@@ -353,7 +215,7 @@ def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-
     Raises:
         SceneError: The shape fields make no solid, or the mesh file is no watertight solid.
     """
-    if body.shape == "mesh":
+    if of_file(body):
         assert not symmetry
         return load_mesh(body)
     vertices, faces, _ = solid_surface(solid(body, symmetry), edge_length, chord)
@@ -365,7 +227,7 @@ def sharp_edges(body: Body, least_deg: float = 30.0) -> Array:
 
     An edge is sharp where the surface turns by more than `least_deg`.
     """
-    surface = object_surface(body, edge_length=np.inf, chord=np.inf if body.shape == "mesh" else 1e-5)
+    surface = object_surface(body, edge_length=np.inf, chord=np.inf if of_file(body) else 1e-5)
     edges, index = edges_of(surface.faces, FACE_EDGES)
     corners = surface.vertices[surface.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -386,7 +248,7 @@ def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:
     4 mm from the axis. A `mesh` shape keeps its facets.
     """
     body = scene.object
-    if body.shape == "mesh":
+    if of_file(body):
         surface = load_mesh(body)
         return quadratic_faces(surface.vertices, surface.faces)
     return _exact_surface(body, press_depth(scene), symmetry)
@@ -421,17 +283,18 @@ def _exact_surface(body: Body, depth: float, symmetry: frozenset[str]) -> Quadra
 
 def project(body: Body, points: Array) -> Array:
     """Closest points (N, 3) on the exact surface of the object; a `mesh` shape returns the points as they are."""
-    if body.shape == "mesh":
+    if of_file(body):
         return points.copy()
-    assert not _bore(body) and body.shape not in RELIEFS, "of these only the patches are known"
-    if body.shape == "corner":
+    row = SHAPES[body.shape]
+    assert not bore(body) and not row.relief, "of these only the patches are known"
+    if row.made == "planes":
         return project_polyhedron(solid(body), points)
     h = body.height_mm * MM
     segments = profile(body)
-    boundary = Sweep((*segments, Segment(segments[-1].end, (0.0, h))), body.shape in TURNED)
-    if body.shape in TURNED:
+    boundary = Sweep((*segments, Segment(segments[-1].end, (0.0, h))), row.turned)
+    if row.turned:
         return boundary.project(points)
-    half = _length(body) / 2
+    half = sides(body)[1]
     side = boundary.project(points)
     side[:, 1] = np.clip(side[:, 1], -half, half)
     across, flat, normal = boundary._closest(points)
@@ -442,10 +305,39 @@ def project(body: Body, points: Array) -> Array:
     return np.where(nearer[:, None], end, side)
 
 
+def has_profile(body: Body) -> bool:
+    """Whether the object is a profile that is turned or drawn, whose distance is known in closed form (`signed_distance`)."""
+    return SHAPES[body.shape].turned or SHAPES[body.shape].drawn
+
+
+def signed_distance(body: Body, points: Array) -> Array:
+    """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside; a hollow within counts as filled."""
+    h = body.height_mm * MM
+    segments = profile(body)
+    segments = (*segments, Segment(segments[-1].end, (0.0, h)))
+    across = np.hypot(points[:, 0], points[:, 1]) if SHAPES[body.shape].turned else np.abs(points[:, 0])
+    flat = np.stack([across, points[:, 2]], axis=1)
+    away = np.min([np.linalg.norm(segment.project(flat)[0] - flat, axis=1) for segment in segments], axis=0)
+    inside = sum(segment.crossings(flat) for segment in segments) % 2 == 1
+    distance = np.where(inside, -away, away)
+    if SHAPES[body.shape].turned:
+        return distance
+    end = np.abs(points[:, 1]) - sides(body)[1]
+    outside = np.hypot(np.maximum(distance, 0.0), np.maximum(end, 0.0))
+    return np.where((distance <= 0.0) & (end <= 0.0), np.maximum(distance, end), outside)
+
+
 # ---------------------------------------------------------------------------------------------------------------- gel and placement
 def press_depth(scene: Scene) -> float:
     """The approach that meshes are made for [m]: the press depth, or 1 mm when only a force is given."""
     return (1.0 if scene.press.depth_mm is None else scene.press.depth_mm) * MM
+
+
+def furthest_approach(scene: Scene) -> float:
+    """How far a press may go [m]: its depth, or where only a force ends it half of the gel plus a third of a soft object's height."""
+    if scene.press.depth_mm is not None:
+        return scene.press.depth_mm * MM
+    return (0.5 * scene.gel.thickness_mm + (0.0 if scene.object.rigid else scene.object.height_mm / 3)) * MM
 
 
 def gel_height(gel: Gel, xy: Array) -> Array:

@@ -81,6 +81,23 @@ class Segment:
         normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
         return start + share[:, None] * along, np.broadcast_to(normal, points.shape)
 
+    def crossings(self, points: Array) -> NDArray[np.int_]:
+        """How often the ray outward (+r) from each point (N, 2) crosses this piece: of a closed outline it is odd inside."""
+        z = points[:, 1]
+        if not self.radius:
+            (r0, z0), (r1, z1) = self.start, self.end
+            r = r0 + (z - z0) / ((z1 - z0) or 1.0) * (r1 - r0)
+            return ((z >= min(z0, z1)) & (z < max(z0, z1)) & (r > points[:, 0])).astype(int)
+        middle, size = self._middle(), abs(self.radius)
+        low, high = sorted(self._angles())
+        count = np.zeros(len(points), int)
+        for side, one, two in ((-1.0, low, min(high, 0.0)), (1.0, max(low, 0.0), high)):  # z rises on both sides of straight down
+            if one < two:
+                bottom, top = sorted(middle[1] - size * np.cos([one, two]))
+                r = middle[0] + side * np.sqrt(np.maximum(size**2 - (z - middle[1]) ** 2, 0.0))
+                count += (z >= bottom) & (z < top) & (r > points[:, 0])
+        return count
+
     def tangents(self) -> tuple[Array, Array]:
         if self.radius:
             one, two = (np.sign(self.radius) * np.array([np.cos(angle), np.sin(angle)]) for angle in self._angles())

@@ -22,7 +22,7 @@ import numpy as np
 from gelsim.errors import SceneError
 from gelsim.scene.distributions import check_fields, field_kind
 from gelsim.scene.fields import nearest
-from gelsim.scene.layers import Layer, anchored, from_folder, read_layer, read_toml
+from gelsim.scene.layers import Layer, anchored, from_folder, nested, read_layer, read_toml
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
 from gelsim.work.ledger import Row
@@ -32,18 +32,6 @@ Point = dict[str, Any]
 RANGES = ("uniform", "log_uniform")
 MOST_CASES = 10_000
 _KEYS = ("question", "metrics", "fields", "x", "colour", "cases", "seed", "scene")
-
-
-def nested(point: Mapping[str, Any]) -> Layer:
-    """A layer of a scene from values by full name, such as "gel.thickness_mm"."""
-    layer: Layer = {}
-    for name, value in point.items():
-        *path, key = name.split(".")
-        table = layer
-        for step in path:
-            table = table.setdefault(step, {})
-        table[key] = value
-    return layer
 
 
 SAME = 1e-3

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.results import Deformation, Frame, Membrane
 from gelsim.scene.definition import Scene
-from gelsim.scene.layers import Layer, build_scene
-from gelsim.study.definition import nested
+from gelsim.scene.layers import Layer, build_scene, nested
 
 T = TypeVar("T")
 

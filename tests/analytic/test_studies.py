@@ -14,9 +14,10 @@ from gelsim.optics import height_map
 from gelsim.optics.camera import pixel_size
 from gelsim.optics.isp import srgb_tone
 from gelsim.results import Frame, Membrane
+from gelsim.scene.layers import nested
 from gelsim.scene.materials import modulus_from_shore_00
 from gelsim.study import runner, visible
-from gelsim.study.definition import load_study, nested
+from gelsim.study.definition import load_study
 from gelsim.study.discrimination import RADIUS_UNKNOWN, SLOPE_NOISE, combine, sensitivity
 from gelsim.study.marker_force import press_field
 from gelsim.study.photometric import exposed

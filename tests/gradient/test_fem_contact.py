@@ -87,7 +87,7 @@ def local(pair: Pair, x: Array, i: int) -> tuple[np.ndarray, tuple]:  # type: ig
     face = int(c.face.numpy()[i])
     nodes = np.concatenate([c.slave_faces[i // c.points], c.master_faces[face]])
     k = float(c.stiffness.numpy()[i // c.points])
-    return nodes, (x[nodes], c.shape_values[i % c.points], c.xi.numpy()[i], float(c.multiplier.numpy()[i]), k, SMOOTHING)
+    return nodes, (x[nodes], c.shape_values[i % c.points], c.place.numpy()[i, :2], float(c.multiplier.numpy()[i]), k, SMOOTHING)
 
 
 def assembled(pair: Pair, x: Array) -> tuple[Array, Array]:
@@ -203,7 +203,7 @@ def test_friction_force_matches_the_twin(friction: float) -> None:
     wanted = np.zeros_like(x)
     for i in np.flatnonzero(c.pressure.numpy() > 0):
         _, (nodes, shape, *_rest) = local(pair, x, i)
-        anchor, xi = c.master_faces[c.anchor_face.numpy()[i]], c.anchor_xi.numpy()[i]
+        anchor, xi = c.master_faces[c.anchor_face.numpy()[i]], c.anchor_place.numpy()[i, :2]
         there = reference.tri6_shape(np.array([1 - xi[0] - xi[1], xi[0], xi[1]]))
         traction = reference.friction_traction(
             shape @ nodes[:6] - there @ x[anchor], c.normal.numpy()[i], c.shift.numpy()[i], float(c.stick.numpy()[i // c.points]), friction,

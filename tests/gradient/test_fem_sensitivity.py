@@ -26,7 +26,7 @@ PLACES = 0.0, 1.4, 4.0  # mm from the axis: under the object, at its rim, in the
 
 
 OWN = {"contact_points": 12, "on_object": True}
-"""How the points are where a smooth object may slide (`fem.SLIDING`)."""
+"""How the points are where a smooth object may slide (`fem.strategy.SLIDING`)."""
 
 
 def problem(rigid: bool, gel_kpa: float, object_kpa: float, depth: float, own: bool) -> PressProblem:

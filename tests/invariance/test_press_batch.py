@@ -13,13 +13,14 @@ import pytest
 import warp as wp
 
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, _problem, _tries, solve_batch, ways
+from gelsim.fem import _problem, solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, PressProblem
-from gelsim.fem.quasistatic import OVERLAP_MM, Request
+from gelsim.fem.quasistatic import OVERLAP_MM, Course, Request
+from gelsim.fem.strategy import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, tries, ways
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
@@ -124,7 +125,7 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[list[tuple[bool, int, float, float]]] = []
     patience: list[list[tuple[int, bool]]] = []
 
-    def run(problems: list[PressProblem], *, progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
+    def run(problems: list[PressProblem], *, courses: list[Course], progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
         asked.append([(p.on_object, p.contact.points, p.law.stiffness, p.law.friction) for p in problems])
         patience.append([(p.most_wasted, p.options.patient) for p in problems])
         progress(len(problems), len(problems))
@@ -133,10 +134,9 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
         first = [(SolveStatus.CONVERGED, PressEnd.LIMIT), stopped, lost, lost]
         ends = [first, [done, lost], [lost], [lost], [done], [done]][len(asked) - 1]
         farther = len(asked) * solved.approach
-        for problem, (_, end) in zip(problems, ends, strict=True):
-            assert problem.course is not None
+        for course, (_, end) in zip(courses, ends, strict=True):
             if end is PressEnd.LOST:
-                problem.course.before = cast(Any, SimpleNamespace(approach=0.5e-3))
+                course.before = cast(Any, SimpleNamespace(approach=0.5e-3))
         return [replace(solved, status=status, approach=farther, info={"ended_by": end}) for status, end in ends]
 
     scenes = [scene(100.0), scene(45.0, friction="stick"), scene(400.0, friction=GRIP), scene(45.0, friction=0.1)]
@@ -210,13 +210,13 @@ def test_a_nudge_is_told_of(lost: int, friction: float, where: str) -> None:
     """Also where a later try, without it, gets to the end."""
     frictionless = build_scene({"object": {"shape": "hemisphere"}, "contact": {"friction_coefficient": 0.0}})
     some = alone(scene(200.0))
-    tries = _tries(frictionless, frozenset())
-    way, course = next(tries)
+    turns = tries(frictionless, frozenset())
+    way, course = next(turns)
     for number in range(lost):
         course.before = cast(Any, SimpleNamespace(approach=(0.4 + 0.2 * number) * 1e-3))
-        way, course = tries.send(replace(some, info={"ended_by": PressEnd.LOST}))
+        way, course = turns.send(replace(some, info={"ended_by": PressEnd.LOST}))
     with pytest.raises(StopIteration) as end:
-        tries.send(replace(some, info={"ended_by": PressEnd.DEPTH}))
+        turns.send(replace(some, info={"ended_by": PressEnd.DEPTH}))
     press = end.value.value
     assert press.info["friction_coefficient"] == friction
     said = [warning for warning in press.info["warnings"] if "friction" in warning]

@@ -41,5 +41,5 @@ def test_what_a_script_imports_is_there(script: Path) -> None:
 
 
 def test_a_name_that_is_gone_is_seen() -> None:
-    script = "from gelsim.fem import HELD, CONTACT_POINTS\nfrom gelsim import pipeline\nfrom gelsim.units import MM, FATHOM"
-    assert missing(imported(script)) == ["gelsim.fem.CONTACT_POINTS", "gelsim.units.FATHOM"]
+    script = "from gelsim.fem.strategy import HELD, CONTACT_POINTS\nfrom gelsim import pipeline\nfrom gelsim.units import MM, FATHOM"
+    assert missing(imported(script)) == ["gelsim.fem.strategy.CONTACT_POINTS", "gelsim.units.FATHOM"]

@@ -300,7 +300,7 @@ def test_running_minimum_is_the_same_by_both():
     kept = np.arange(7 * 50, dtype=np.float32)
     found = []
     for variant in VARIANTS:
-        arrays = choose_arrays(variant.name)
+        arrays = choose_arrays(variant)
         found.append(arrays.numpy(arrays.running_minimum(arrays.floats(values), arrays.floats(kept), 7, 50)).reshape(50, 7, 2))
     for step in range(50):
         lines = values.reshape(50, 7)[: step + 1]
@@ -319,4 +319,4 @@ def test_both_backends_draw_the_same():
         difference = np.abs(one[0] - other[0]).max(axis=2)
         assert np.quantile(difference, 0.995) < 1e-3 and difference.max() < 1
         assert np.nanmax(np.abs(one[1] - other[1])) < 1e-7
-    assert isinstance(choose_arrays("scalar_rgb"), NumPyArrays)
+    assert isinstance(choose_arrays(SCALAR), NumPyArrays)

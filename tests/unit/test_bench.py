@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability, target
-from gelsim.bench.section import Case, Options, Section
+from gelsim.bench.section import Case, Known, Options, Section
 from gelsim.errors import PressEnd, SceneError
 from gelsim.scene.layers import build_scene
 from gelsim.work.workers import Handful, LocalCrew, work_through
@@ -293,14 +293,14 @@ def test_a_target_is_judged_by_the_true_error_and_the_cheapest_that_meets_it() -
 
 
 def test_closed_forms_are_judged_by_their_bounds_and_the_control_the_other_way() -> None:
-    known = closed_forms.Known("number", lambda: (1.01, 1.0, 1.0), 0.02, "somewhere")
+    known = Known("number", lambda: (1.01, 1.0, 1.0), 0.02, "somewhere")
     assert closed_forms._measure(known)["verdict"] == "met"
     assert closed_forms._measure(replace(known, bound=0.005))["verdict"] == "NOT MET"
     assert closed_forms._measure(replace(known, control=True))["verdict"] == "FAULT NOT SEEN"
 
 
 @pytest.mark.parametrize("known", [known for known in blocks.known() if "32 cells" not in known.name], ids=lambda known: known.name)
-def test_blocks_meet_their_bounds(known: closed_forms.Known) -> None:
+def test_blocks_meet_their_bounds(known: Known) -> None:
     assert closed_forms._measure(known)["verdict"] in ("met", "seen, as it must be")
 
 

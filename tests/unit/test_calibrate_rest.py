@@ -9,7 +9,7 @@ import pytest
 
 from gelsim.calibrate import start
 from gelsim.calibrate.model import Rest
-from gelsim.calibrate.parameters import BESIDE, GEOMETRY, GLOBALS, Parameters
+from gelsim.calibrate.parameters import GEOMETRY, GLOBALS, OUT_OF_VIEW, Parameters
 from gelsim.optics.rest import even_part
 
 ROW, COLUMN = np.mgrid[:96, :128] + 0.5
@@ -75,7 +75,7 @@ def test_even_light_and_paint_make_the_photograph():
 def test_lights_below_the_gel_stay_below_it(thickness):
     values = np.array([0.15, 30.0, 0.0, thickness, 0.1, 0.4, 1.0, 0.0, 0.0, 0.5])
     places = start.candidates(12.0, thickness)
-    below = places[:, 0] < BESIDE * 12.0
+    below = places[:, 0] < OUT_OF_VIEW * 12.0
     assert below.any() and not below.all() and (places[below, 2] <= -thickness - 0.5).all()
     sensor = Parameters(values, places, np.ones((len(places) + 1, 3)), 12.0, 64.0, (4.0, 1.49, 1.41))
     _, low, high = sensor.prior()

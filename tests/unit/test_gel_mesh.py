@@ -12,7 +12,7 @@ from gelsim.geometry import TET_EDGES, TetMesh, jacobian_determinants, outer_fac
 from gelsim.mesh import gel_mesh
 from gelsim.mesh.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine, split
 from gelsim.mesh.contact_area import core, footprint
-from gelsim.mesh.gel_mesh import LONGER, mesh_gel
+from gelsim.mesh.gel_mesh import LONGER_ACROSS, mesh_gel
 from gelsim.mesh.rim_edges import LEAST, lay_edges
 from gelsim.mesh.sizing import SIZES, SizeField
 from gelsim.scene.definition import Body, Gel, Press, Scene
@@ -151,7 +151,7 @@ def test_edges_follow_the_size_field(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = mesh_gel(given, QUARTER)
     field = fields[0]
     leg = longest_across(mesh) / np.sqrt(2)
-    asked = LONGER * field(mesh.rest_positions[mesh.tets[:, :4]]).min(axis=1)
+    asked = LONGER_ACROSS * field(mesh.rest_positions[mesh.tets[:, :4]]).min(axis=1)
     assert (leg <= asked * (1 + 1e-9)).all()
     # No finer than asked: a face of half the legs would have been cut four times, a conforming neighbour asks for two of these at most.
     middle = mesh.rest_positions[mesh.tets[:, :4]].mean(axis=1)
@@ -160,9 +160,9 @@ def test_edges_follow_the_size_field(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.median((leg / asked)[near]) > 0.5
     assert np.median(leg[middle[:, 0] > 9e-3]) > 2 * np.median(leg[near])
     # The planted fault: a mesh of another field does not follow this one.
-    monkeypatch.setattr(gel_mesh, "LONGER", 2.5)
+    monkeypatch.setattr(gel_mesh, "LONGER_ACROSS", 2.5)
     coarse = mesh_gel(given, QUARTER)
-    assert (longest_across(coarse) / np.sqrt(2) > LONGER * field(coarse.rest_positions[coarse.tets[:, :4]]).min(axis=1)).any()
+    assert (longest_across(coarse) / np.sqrt(2) > LONGER_ACROSS * field(coarse.rest_positions[coarse.tets[:, :4]]).min(axis=1)).any()
 
 
 def test_a_press_begins_at_a_point_or_it_does_not() -> None:

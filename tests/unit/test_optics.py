@@ -1,4 +1,4 @@
-"""Camera, markers, height map, tone curve and the choice of a variant."""
+"""Camera, markers, height map and tone curve."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelsim.errors import RenderError, SceneError
+from gelsim.errors import SceneError
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import GRID_SPACING, rest_membrane
-from gelsim.optics import VariantChoice, choose_variant, height_map, project, render_frames, variant
+from gelsim.optics import choose_variant, height_map, project, render_frames, variant
 from gelsim.optics.camera import marker_pixels, pixel_rays, window_transmission
 from gelsim.optics.coating import marker_coverage
 from gelsim.optics.isp import develop, srgb_tone
@@ -283,29 +283,6 @@ def test_paths_suit_sampler_and_lights():
 def test_scene_dict_refuses_what_cannot_be_lit():
     with pytest.raises(SceneError, match="lights.lights is empty"):
         scene_dict(Scene())
-
-
-def test_variant_of_this_machine_is_named_with_its_reason():
-    choice = choose_variant("cpu")
-    assert choice.name in ("llvm_ad_rgb", "scalar_rgb") and choice.reason
-    with pytest.raises(RenderError, match="device"):
-        choose_variant("tpu")
-
-
-def test_broken_llvm_is_found_out_in_a_child(tmp_path, monkeypatch):
-    """A library that cannot be loaded costs a child process, not this one; the verdict is remembered."""
-    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
-    fake = tmp_path / "libLLVM.so"
-    fake.write_bytes(b"not a library")
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(fake))
-    choice = choose_variant("cpu")
-    assert choice.name == "scalar_rgb" and str(fake) in choice.reason
-    assert len(list((tmp_path / "cache").rglob("*.json"))) == 1
-    monkeypatch.setattr(variant.subprocess, "run", lambda *args, **options: pytest.fail("tried again"))
-    variant._choose.cache_clear()
-    assert choose_variant("cpu") == choice
-    assert isinstance(choice, VariantChoice)
-    variant._choose.cache_clear()
 
 
 @pytest.mark.parametrize("preset", ["fingertip2017", "gelsight_mini"])

@@ -44,7 +44,7 @@ def test_noise_is_normal_and_without_pattern():
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.name)
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 1003])
 def test_bytes_are_packed_in_order(variant, count):
-    arrays = choose_arrays(variant.name)
+    arrays = choose_arrays(variant)
     wanted = np.random.default_rng(1).integers(256, size=(count, 3)).astype(np.uint8)
     words = wanted.astype(np.uint32) @ np.array([1, 256, 65536], np.uint32)
     assert np.array_equal(as_picture(arrays.numpy(packed_bytes(arrays, arrays.words(words))), (count,)), wanted)
@@ -55,7 +55,7 @@ def test_bytes_are_packed_in_order(variant, count):
 def test_backends_develop_the_same(more):
     scene = Scene(camera=Camera(**NOISY, **more), render=Render("path", 16, (101, 77)), seed=5)
     radiance = np.random.default_rng(2).uniform(-0.1, 1.2, (77, 101, 3)).astype(np.float32)
-    arrays = choose_arrays(VARIANTS[1].name)
+    arrays = choose_arrays(VARIANTS[1])
     wanted = develop(scene, radiance, 3)
     found = as_picture(arrays.numpy(Developer(scene, arrays)(arrays.floats(radiance), 3)), (77, 101))
     # Functions of float32 differ by some ulp, 1e-6 of 255 levels: that often a value rounds the other way.
@@ -68,7 +68,7 @@ def test_backends_develop_the_same(more):
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.name)
 def test_one_developer_takes_pictures_of_any_size(variant):
     """Planted: one recording for all lengths makes as many bytes as the first picture has."""
-    scene, arrays = Scene(camera=Camera(**NOISY), seed=5), choose_arrays(variant.name)
+    scene, arrays = Scene(camera=Camera(**NOISY), seed=5), choose_arrays(variant)
     developer = Developer(scene, arrays)
     for shape in ((20, 30), (40, 31), (20, 30), (10, 9)):
         radiance = np.random.default_rng(2).uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)

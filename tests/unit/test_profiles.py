@@ -11,8 +11,9 @@ from gelsim.errors import SceneError
 from gelsim.fem.planar.elements import planar_quadrature
 from gelsim.geometry import PlanarMesh
 from gelsim.mesh.profiles import gel_radius, mesh_profiles
-from gelsim.mesh.reductions import TURNED, choose_reduction
+from gelsim.mesh.reductions import choose_reduction
 from gelsim.scene.definition import Body, Gel, Grains, Press, Scene
+from gelsim.scene.shape_table import SHAPES
 
 BODIES = [
     Body(shape="hemisphere"), Body(shape="hemisphere", radius_mm=50.0), Body(shape="cone"), Body(shape="punch", radius_mm=3.0),
@@ -36,7 +37,7 @@ def measure(mesh: PlanarMesh, turned: bool) -> tuple[float, float]:
 @pytest.mark.parametrize("fidelity", ["fast", "balanced"])
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: f"{body.shape}-{body.radius_mm:g}")
 def test_profiles_fill_what_they_bound(body: Body, fidelity: str) -> None:
-    turned = body.shape in TURNED
+    turned = SHAPES[body.shape].turned
     scene = Scene(gel=Gel(profile="dome" if turned else "flat"), object=body, fidelity=fidelity)
     for mesh, deep in zip(mesh_profiles(scene), (True, False), strict=True):
         inside, around = measure(mesh, turned)

@@ -13,8 +13,9 @@ import pytest
 
 from gelsim.errors import MaterialError, SceneError
 from gelsim.scene.definition import Body, Gel, LawConstants, Press, Scene
+from gelsim.scene.expectation import Expected
 from gelsim.scene.fields import field_types
-from gelsim.scene.layers import build_scene, dump_scene, load_scene, preset_names
+from gelsim.scene.layers import build_scene, dump_scene, load_expectation, load_scene, preset_names, scene_table
 from gelsim.scene.limits import LIMITS
 
 
@@ -40,6 +41,16 @@ def test_written_scene_reads_back_equal(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "scenes").glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_scenes_load(path: Path) -> None:
     load_scene(path)
+
+
+def test_a_depth_that_is_given_is_reached_whatever_the_force() -> None:
+    """Parts on `digit` ended at 0.19 to 0.47 mm of the 0.5 that were asked for, by the default force."""
+    assert build_scene({}).press.force_n == 9.0 and build_scene({}).press.depth_mm == 1.0
+    assert build_scene({"press": {"depth_mm": 0.5}}).press.force_n is None
+    assert build_scene({"press": {"depth_mm": 0.5}}, {"press": {"force_n": 3.0}}).press.force_n == 3.0
+    assert build_scene({"press": {"depth_mm": "None"}}).press.force_n == 9.0
+    whole = scene_table(build_scene({}))
+    assert build_scene(whole, {"press": {"depth_mm": 0.5}}).press.force_n == 9.0  # a scene that was written says both
 
 
 def test_later_layer_beats_earlier_one() -> None:
@@ -290,3 +301,31 @@ def test_unreadable_files_are_scene_errors(tmp_path: Path) -> None:
 
 def test_small_rigid_ball_is_allowed() -> None:
     Scene(object=Body(shape="hemisphere", radius_mm=1.0, rigid=True), gel=Gel(profile="flat"), press=Press(depth_mm=0.3))
+
+
+EXPECT = '[object]\nshape = "flat"\n[expect]\nforce_n = { value = 2.0, spread = 0.01, margin = 0.1 }\n'
+
+
+def test_what_is_expected_is_no_part_of_the_scene(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(EXPECT, encoding="utf-8")
+    scene = load_scene(tmp_path / "scene.toml")
+    assert scene == build_scene({"object": {"shape": "flat"}}) and "expect" not in dump_scene(scene)
+    assert load_expectation(tmp_path / "scene.toml").numbers() == {"force_n": Expected(2.0, 0.01, 0.1)}
+    with pytest.raises(SceneError, match="unknown key 'expect'"):  # of a file alone
+        build_scene(tomllib.loads(EXPECT))
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [
+        ("force_n", "force", "unknown key 'expect.force'; did you mean 'force_n'"),
+        (", margin = 0.1", "", "expect.force_n = .*expected"),
+        ("margin = 0.1", "margin = nan", "expect.force_n.margin = nan: expected a finite number"),
+        ("margin = 0.1", "margin = 0.0", "expect.force_n.spread = 0.01, margin = 0: allowed"),
+    ],
+)
+def test_expectation_that_cannot_be_read_is_refused(tmp_path: Path, right: str, wrong: str, told: str) -> None:
+    (tmp_path / "scene.toml").write_text(EXPECT.replace(right, wrong), encoding="utf-8")
+    for read in (load_scene, load_expectation):
+        with pytest.raises(SceneError, match=told):
+            read(tmp_path / "scene.toml")

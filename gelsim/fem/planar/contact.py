@@ -54,7 +54,7 @@ class EdgeContact(SurfaceContact):
 
         self.weight = array(self.rest_weight, wp.float64)
         self.face = array(np.full(count, -1), wp.int32)
-        self.xi = wp.zeros(count, dtype=wp.vec2d, device="cpu")
+        self.place = wp.zeros(count, dtype=wp.vec3d, device="cpu")
         self.normal = wp.zeros(count, dtype=wp.vec3d, device="cpu")
         self.gap = array(np.full(count, 1e9), wp.float64)
         self.pressure = wp.zeros(count, dtype=wp.float64, device="cpu")
@@ -62,7 +62,7 @@ class EdgeContact(SurfaceContact):
         self.multiplier = wp.zeros(count, dtype=wp.float64, device="cpu")
         self.shift = wp.zeros(count, dtype=wp.vec3d, device="cpu")
         self.anchor_face = array(np.full(count, -1), wp.int32)
-        self.anchor_xi = wp.zeros(count, dtype=wp.vec2d, device="cpu")
+        self.anchor_place = wp.zeros(count, dtype=wp.vec3d, device="cpu")
         self.stiffness = array(law.stiffness / length, wp.float64)
         self.stick = array(law.stick_stiffness / length, wp.float64)
         self._k = np.repeat(law.stiffness / length, points)
@@ -98,7 +98,7 @@ class EdgeContact(SurfaceContact):
     def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
         flat = x.numpy()[:, [0, 2]]
         place = np.einsum("pn,pni->pi", self._m, flat[self._slave])
-        face, xi, gap = self.face.numpy(), self.xi.numpy(), self.gap.numpy()
+        face, xi, gap = self.face.numpy(), self.place.numpy(), self.gap.numpy()
         edges = flat[self.master_faces]
 
         keep = np.flatnonzero((face >= 0) & (np.abs(gap) < NEAR))
@@ -152,7 +152,7 @@ class EdgeContact(SurfaceContact):
 
     def _trial(self, now: Array, held: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """Trial traction λ_t + k_t e in the tangent plane, nodes (K, 6) and coefficients of the slip, at points held by friction."""
-        shape = self._master_shape(self.anchor_xi.numpy()[held])
+        shape = self._master_shape(self.anchor_place.numpy()[held])
         nodes = np.concatenate([self._slave[held], self.master_faces[self.anchor_face.numpy()[held]]], axis=1)
         share = np.concatenate([self._m[held], -shape], axis=1)
         trial = self.shift.numpy()[held] + self._kt[held, None] * np.einsum("pn,pni->pi", share, now[nodes])
@@ -168,7 +168,7 @@ class EdgeContact(SurfaceContact):
         active = np.flatnonzero(pressure > 0)
         load = (self.rest_weight[active] * pressure[active])[:, None] * self.normal.numpy()[active]
         nodes = np.concatenate([self._slave[active], self.master_faces[self.face.numpy()[active]]], axis=1)
-        share = np.concatenate([-self._m[active], self._master_shape(self.xi.numpy()[active])], axis=1)
+        share = np.concatenate([-self._m[active], self._master_shape(self.place.numpy()[active])], axis=1)
         np.add.at(total, nodes, share[:, :, None] * load[:, None, :])
         if self.frictional:
             traction = self.traction.numpy()
@@ -189,7 +189,7 @@ class EdgeContact(SurfaceContact):
         now = x.numpy()
         pressure, slope = self._penalty()
         active = np.flatnonzero(slope > 0)
-        face, xi, normal = self.face.numpy()[active], self.xi.numpy()[active, 0], self.normal.numpy()[active][:, [0, 2]]
+        face, xi, normal = self.face.numpy()[active], self.place.numpy()[active, 0], self.normal.numpy()[active][:, [0, 2]]
         edges = now[self.master_faces[face]][..., [0, 2]]
         along = np.einsum("pn,pni->pi", edge_gradient(xi), edges)
         bend = (np.einsum("n,pni->pi", EDGE_CURVATURE, edges) * normal).sum(1)

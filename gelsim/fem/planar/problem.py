@@ -6,7 +6,6 @@ Of a body of revolution one radian is solved, in plane strain a millimetre of de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,7 @@ from gelsim.fem.planar.assembly import PlanarSolids
 from gelsim.fem.planar.contact import EdgeContact
 from gelsim.fem.planar.elements import PlanarQuadrature, planar_quadrature
 from gelsim.fem.problem import (
-    KPA,
     MILLINEWTON,
-    MM,
     PENALTY_PER_MODULUS,
     STICK_PER_MODULUS,
     TOLERANCES,
@@ -29,9 +26,7 @@ from gelsim.fem.problem import (
 from gelsim.geometry import PlanarMesh
 from gelsim.scene.definition import Scene
 from gelsim.scene.materials import ElasticMaterial
-
-if TYPE_CHECKING:
-    from gelsim.fem.recording import Recorder
+from gelsim.units import KPA_PER_PA, MM_PER_M
 
 Array = NDArray[np.float64]
 
@@ -55,7 +50,7 @@ class PlanarProblem(PressProblem):
         self.turned, self.depth_mm = depth_mm is None, depth_mm
         self.copies = 2 * np.pi if depth_mm is None else 2 * depth_mm
         n = len(gel.nodes)
-        rest = np.insert(np.vstack([gel.nodes, body.nodes]) * MM, 1, 0.0, axis=1)
+        rest = np.insert(np.vstack([gel.nodes, body.nodes]) * MM_PER_M, 1, 0.0, axis=1)
         self.object_nodes = np.arange(n, len(rest))
         fixed = np.zeros((len(rest), 3), bool)
         fixed[:, 1] = True
@@ -79,22 +74,17 @@ class PlanarProblem(PressProblem):
 
         self.quadrature: PlanarQuadrature = planar_quadrature(rest, triangles, self.turned, triangle_points)
         law = each([isochoric_constants(material, ogden) for _, material, _ in meshes])
-        self.solids = PlanarSolids(rest, triangles, self.quadrature, law, each([m.kappa * KPA for _, m, _ in meshes]), fixed, "cpu")
+        self.solids = PlanarSolids(rest, triangles, self.quadrature, law, each([m.kappa * KPA_PER_PA for _, m, _ in meshes]), fixed, "cpu")
         self.regions = each([0, 1][: len(meshes)])
         self.memory = None
-        self.shear = each([material.mu * KPA for _, material, _ in meshes])
-        softest = min(material.youngs_modulus for _, material, _ in meshes) * KPA
+        self.shear = each([material.mu * KPA_PER_PA for _, material, _ in meshes])
+        softest = min(material.youngs_modulus for _, material, _ in meshes) * KPA_PER_PA
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(PENALTY_PER_MODULUS * softest, SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         edges = (body.groups["contact"] + n).astype(np.int32)
         self.contact = EdgeContact(gel.groups["coated"], edges, rest, self.law, self.turned, contact_points)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
-
-    def record(self) -> Recorder:
-        from gelsim.fem.planar.recording import PlanarRecorder  # which knows this module
-
-        return PlanarRecorder(self)
 
     def _across_planes(self, force: Array) -> Array:
         """Newton [N] of the whole body: across the axis, or the plane x = 0, forces cancel."""

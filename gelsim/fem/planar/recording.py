@@ -15,12 +15,12 @@ from gelsim.fem.indicator import FORCE_ERROR_PER_JUMP, MOVING
 from gelsim.fem.planar.elements import edge_quadrature, edge_shape
 from gelsim.fem.planar.problem import PlanarProblem
 from gelsim.fem.planar.touching import touching_intervals
-from gelsim.fem.problem import KPA, MM
 from gelsim.fem.recording import Recorder, whole_surface
 from gelsim.geometry import PlanarMesh, QuadraticSurface, quadratic_faces
 from gelsim.results import SurfaceMotion
 from gelsim.shape.shapes import gel_height
 from gelsim.shape.solids import refine
+from gelsim.units import KPA_PER_PA, MM_PER_M
 
 Array = NDArray[np.float64]
 
@@ -46,14 +46,14 @@ class PlanarRecorder(Recorder):
         opening = contact.gap.numpy().reshape(len(x), -1) + problem.law.smoothing / 2
         ends = np.sort(x[:, :2], axis=1)
         start, end = touching_intervals(ends, x @ edge_shape(place).T, opening, pressure.reshape(len(x), -1)).T
-        area = ((end**2 - start**2) / 2 if problem.turned else end - start).sum() * problem.copies / MM**2
+        area = ((end**2 - start**2) / 2 if problem.turned else end - start).sum() * problem.copies / MM_PER_M**2
         # hats of the two halves of an edge: positive weights to average with
         hats = np.stack([np.maximum(1 - 2 * place, 0), np.maximum(2 * place - 1, 0), 1 - np.abs(2 * place - 1)], axis=1)
         weight = contact.rest_weight.reshape(len(contact.slave_faces), -1)
         nodes, count = contact.slave_faces.ravel(), problem.solids.node_count
         top = np.bincount(nodes, (weight * pressure.reshape(weight.shape) @ hats).ravel(), count)
         bottom = np.bincount(nodes, (weight @ hats).ravel(), count)
-        return float(area), top / np.where(bottom > 0, bottom, 1.0) / KPA
+        return float(area), top / np.where(bottom > 0, bottom, 1.0) / KPA_PER_PA
 
     def _per_jump(self, smallest_jacobian: float) -> float:
         return FORCE_ERROR_PER_JUMP["profile"]
@@ -81,7 +81,7 @@ class PlanarRecorder(Recorder):
         assert isinstance(profile, PlanarMesh) and isinstance(body, PlanarMesh)
         line = _line(profile)
         surface, planes = _gel_surface(problem, profile, line)
-        away = surface.nodes[:, :2] - (0.0 if planes else np.array(problem.scene.press.offset_mm) / MM)
+        away = surface.nodes[:, :2] - (0.0 if planes else np.array(problem.scene.press.offset_mm) / MM_PER_M)
         across = np.hypot(away[:, 0], away[:, 1]) if problem.turned else np.abs(away[:, 0])
         knots = profile.nodes[line[::2], 0]
         piece = np.clip(np.searchsorted(knots, across, side="right") - 1, 0, len(knots) - 2)
@@ -109,11 +109,11 @@ class PlanarRecorder(Recorder):
             motion = np.concatenate(
                 [moved[:, :, None, :1] * direction, np.broadcast_to(moved[:, :, None, 2:], (*moved.shape[:2], len(angle), 1))], axis=-1
             )
-            nodes[..., :2] += np.array(problem.scene.press.offset_mm) / MM
+            nodes[..., :2] += np.array(problem.scene.press.offset_mm) / MM_PER_M
             faces = _grid_faces(len(line), 2 * _SECTORS, pointed=True)
             planes: frozenset[str] = frozenset()
         else:
-            half = (problem.depth_mm or 0.0) / MM / 2
+            half = (problem.depth_mm or 0.0) / MM_PER_M / 2
             along = np.linspace(-half, half, 2 * max(1, round(2 * half / _ALONG)) + 1)
             shape = (len(line), len(along))
             nodes = np.stack([np.broadcast_to(v, shape) for v in (across[:, None], along, up[:, None])], axis=-1)
@@ -140,13 +140,13 @@ def _line(mesh: PlanarMesh) -> NDArray[np.int64]:
 def _gel_surface(problem: PlanarProblem, profile: PlanarMesh, line: NDArray[np.int64]) -> tuple[QuadraticSurface, frozenset[str]]:
     """The rest surface, and the mirror planes of which it is the positive side."""
     scene = problem.scene
-    x, y = np.array(scene.gel.size_mm) / MM / 2
+    x, y = np.array(scene.gel.size_mm) / MM_PER_M / 2
     if not problem.turned:
         along = np.linspace(0.0, y, 2 * max(1, round(y / _ALONG)) + 1)
         grid = np.stack(np.meshgrid(profile.nodes[line, 0], along, indexing="ij"), axis=-1).reshape(-1, 2)
         faces = _grid_faces(len(line), len(along), pointed=False)[:, [0, 2, 1, 5, 4, 3]].astype(np.int32)
         return QuadraticSurface(np.insert(grid, 2, 0.0, axis=1), faces), frozenset("xy")
-    offset = np.array(scene.press.offset_mm) / MM
+    offset = np.array(scene.press.offset_mm) / MM_PER_M
     whole = bool(offset.any())
     low = np.array([-x, -y]) if whole else np.zeros(2)
     columns, rows = (max(2, 1 + round(2 * side / (end - start))) for side, start, end in zip((x, y), low, (x, y), strict=True))

@@ -1,0 +1,334 @@
+"""A rigid object as a signed distance: how far a point is from its surface, which way that is, and how the surface bends there.
+
+The distance φ [mm] to the exact shape, negative inside, is sampled on a grid in the object's own frame and read by cubic B-splines whose
+coefficients are the samples themselves. So φ has two continuous derivatives everywhere, and what contact asks for,
+
+    g = φ/|∇φ|,   n = ∇φ/|∇φ|,   ∇n = P ∇∇φ P/|∇φ|,  P = I - n nᵀ,
+
+depends on where a gel point is and on nothing that jumps: there are no faces, no pairs, and no wrong side of an acute corner.
+
+A spline through the samples would ring at a sharp edge. Taken as coefficients they are smoothed by the spline's kernel, which leaves planes
+as they are and gives a convex right edge the radius ROUNDING · spacing: the grid is as fine as the rim radius asks. A smooth surface of
+curvature κ would shrink by spacing² κ/3; that is taken back where the curvature is one of the shape's (weight 1/(1 + (Δφ spacing)²)) and
+stays where it is an edge's. Where φ has a kink each sample is the mean over its cell: with point samples an oblique edge beats with the
+grid (by 1.6 % of the spacing; so by 0.4 %, tests/unit/test_fem_field.py).
+
+The shape: profiles of lines and arcs are known in closed form (gelsim.shape.shapes); others by the closest point of their triangles, with
+the sign of the winding number (Barill et al. 2018, by Warp), which holds at acute corners, for several bodies, and with holes.
+
+Left out: what lies farther from the surface than BAND, where φ is known to a coarse grid's accuracy only; concave edges are rounded too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gelsim.geometry import QuadraticSurface
+from gelsim.scene.definition import Body, Scene
+from gelsim.shape import outlines, shapes
+from gelsim.units import MM_PER_M
+
+Array = NDArray[np.float64]
+Distance = Callable[[Array], Array]
+
+ROUNDING = 0.75
+"""Radius of a right convex edge over the grid's spacing (tests/unit/test_fem_field.py measures it)."""
+COARSE = 4
+"""Spacings of the grid that tells where the surface is."""
+BAND = 3.0
+"""Spacings beyond the support of a spline within which samples are exact."""
+KINKED = 0.1
+"""Δφ · spacing above which a sample is the mean over its cell."""
+CELL = np.stack(np.meshgrid(*[[-1 / 3, 0.0, 1 / 3]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+SHARPEST_MM = 0.04
+"""Rim radius of an object that is to have none: a finer grid of a whole part does not pay."""
+PER_RADIUS = 8
+"""Spacings in the radius of what is round by its shape: a ball is then off by less than 0.1 % of that (test_fem_field.py)."""
+
+
+@wp.struct
+class FieldGrid:
+    """Samples of the distance [mm] and where they lie, in the object's frame."""
+
+    samples: wp.array3d(dtype=wp.float32)
+    origin: wp.vec3d
+    spacing: wp.float64
+
+
+@dataclass(frozen=True)
+class DistanceField:
+    """The signed distance on a grid."""
+
+    samples: NDArray[np.float32]
+    """(A, B, C) [mm]."""
+    origin: tuple[float, float, float]
+    """Of the first sample, in the object's frame [mm]."""
+    spacing: float
+    """[mm]"""
+
+    def grid(self, device: str) -> FieldGrid:
+        """For kernels."""
+        grid = FieldGrid()
+        grid.samples = wp.array(self.samples, dtype=wp.float32, device=device)
+        grid.origin, grid.spacing = wp.vec3d(*self.origin), self.spacing
+        return grid
+
+    def __call__(self, points: Array) -> Array:
+        """φ [mm] at points (N, 3) [mm] of the object's frame; beyond the grid that of its nearest place, and the way there."""
+        from scipy.ndimage import map_coordinates
+
+        place = (points - self.origin) / self.spacing
+        inside = np.clip(place, 1.0, np.array(self.samples.shape) - 2.0)
+        found = map_coordinates(self.samples.astype(np.float64), inside.T, order=3, mode="nearest", prefilter=False)
+        return found + self.spacing * np.linalg.norm(place - inside, axis=1)
+
+
+# ---------------------------------------------------------------------------------------------------------------- kernels
+@wp.func
+def spline(t: wp.float64) -> wp.vec4d:
+    """The four cubic B-splines over a cell, at t of it."""
+    one = wp.float64(1.0)
+    s = one - t
+    sixth = one / wp.float64(6.0)  # a literal quotient would be single precision
+    return sixth * wp.vec4d(
+        s * s * s,
+        wp.float64(4.0) - wp.float64(6.0) * t * t + wp.float64(3.0) * t * t * t,
+        wp.float64(4.0) - wp.float64(6.0) * s * s + wp.float64(3.0) * s * s * s,
+        t * t * t,
+    )
+
+
+@wp.func
+def spline_slope(t: wp.float64) -> wp.vec4d:
+    s = wp.float64(1.0) - t
+    half = wp.float64(0.5)
+    return wp.vec4d(
+        -half * s * s,
+        wp.float64(1.5) * t * t - wp.float64(2.0) * t,
+        wp.float64(2.0) * s - wp.float64(1.5) * s * s,
+        half * t * t,
+    )
+
+
+@wp.func
+def spline_bend(t: wp.float64) -> wp.vec4d:
+    s = wp.float64(1.0) - t
+    return wp.vec4d(s, wp.float64(3.0) * t - wp.float64(2.0), wp.float64(3.0) * s - wp.float64(2.0), t)
+
+
+@wp.struct
+class Reading:
+    """Of a field at a point: its value [mm], gradient, second derivatives [1/mm], and whether the point is on the grid."""
+
+    value: wp.float64
+    slope: wp.vec3d
+    bend: wp.mat33d
+    inside: wp.bool
+
+
+@wp.func
+def read_field(field: FieldGrid, point: wp.vec3d) -> Reading:
+    """The field at a point of the object's frame."""
+    found = Reading()
+    place = (point - field.origin) / field.spacing
+    i = int(wp.floor(place[0]))
+    j = int(wp.floor(place[1]))
+    k = int(wp.floor(place[2]))
+    shape = wp.vec3i(field.samples.shape[0], field.samples.shape[1], field.samples.shape[2])
+    found.inside = i >= 1 and j >= 1 and k >= 1 and i < shape[0] - 2 and j < shape[1] - 2 and k < shape[2] - 2
+    if not found.inside:
+        return found
+    tx = place[0] - wp.float64(i)
+    ty = place[1] - wp.float64(j)
+    tz = place[2] - wp.float64(k)
+    x0 = spline(tx)
+    x1 = spline_slope(tx)
+    x2 = spline_bend(tx)
+    y0 = spline(ty)
+    y1 = spline_slope(ty)
+    y2 = spline_bend(ty)
+    z0 = spline(tz)
+    z1 = spline_slope(tz)
+    z2 = spline_bend(tz)
+    value = wp.float64(0.0)
+    slope = wp.vec3d()
+    xx = wp.float64(0.0)
+    yy = wp.float64(0.0)
+    zz = wp.float64(0.0)
+    xy = wp.float64(0.0)
+    xz = wp.float64(0.0)
+    yz = wp.float64(0.0)
+    for a in range(4):
+        for b in range(4):
+            c0 = wp.float64(0.0)
+            c1 = wp.float64(0.0)
+            c2 = wp.float64(0.0)
+            for c in range(4):
+                sample = wp.float64(field.samples[i - 1 + a, j - 1 + b, k - 1 + c])
+                c0 += z0[c] * sample
+                c1 += z1[c] * sample
+                c2 += z2[c] * sample
+            value += x0[a] * y0[b] * c0
+            slope += wp.vec3d(x1[a] * y0[b] * c0, x0[a] * y1[b] * c0, x0[a] * y0[b] * c1)
+            xx += x2[a] * y0[b] * c0
+            yy += x0[a] * y2[b] * c0
+            zz += x0[a] * y0[b] * c2
+            xy += x1[a] * y1[b] * c0
+            xz += x1[a] * y0[b] * c1
+            yz += x0[a] * y1[b] * c1
+    found.value = value
+    found.slope = slope / field.spacing
+    found.bend = wp.mat33d(xx, xy, xz, xy, yy, yz, xz, yz, zz) / (field.spacing * field.spacing)
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def signed_distances(mesh: wp.uint64, points: wp.array(dtype=wp.vec3d), centre: wp.vec3d, reach: float, found: wp.array(dtype=wp.float64)):
+    i = wp.tid()
+    query = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3f(points[i] - centre), reach)
+    near = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v)) + centre
+    found[i] = wp.float64(query.sign) * wp.length(points[i] - near)
+
+
+# ---------------------------------------------------------------------------------------------------------------- shapes
+def exact_distance(body: Body) -> Distance:
+    """The signed distance [mm] to an object's exact surface, of points (N, 3) [mm] in its frame."""
+    if shapes.has_profile(body):
+        return lambda points: MM_PER_M * shapes.signed_distance(body, points / MM_PER_M)
+    surface = shapes.object_surface(body, edge_length=np.inf if body.shape == "mesh" else 0.1e-3, chord=0.2e-6)
+    vertices = surface.vertices * MM_PER_M
+    centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    triangles = wp.Mesh(
+        points=wp.array((vertices - centre).astype(np.float32), dtype=wp.vec3f, device="cpu"),
+        indices=wp.array(surface.faces.ravel(), dtype=wp.int32, device="cpu"),
+        support_winding_number=True,
+    )
+    reach = float(np.linalg.norm(np.ptp(vertices, axis=0))) * 2.0
+
+    def distance(points: Array) -> Array:
+        found = wp.zeros(len(points), dtype=wp.float64, device="cpu")
+        places = wp.array(points, dtype=wp.vec3d, device="cpu")
+        wp.launch(signed_distances, len(points), [triangles.id, places, wp.vec3d(*centre), reach, found], device="cpu")
+        return found.numpy()
+
+    return distance
+
+
+def sampled(distance: Distance, low: Array, high: Array, spacing: float) -> DistanceField:
+    """A distance [mm] on a grid over a box (its corners [mm])."""
+    counts = np.ceil((high - low) / spacing / COARSE).astype(int) * COARSE + 1
+    samples, exact = _near_surface(distance, low, counts, spacing)
+    kinked = np.argwhere(exact & (np.abs(_laplacian(samples)) > KINKED * spacing) & (np.abs(samples) < (BAND + 2.0) * spacing))
+    if len(kinked):
+        points = (low + spacing * kinked)[:, None, :] + spacing * CELL
+        samples[tuple(kinked.T)] = distance(points.reshape(-1, 3)).reshape(len(kinked), -1).mean(axis=1)
+    bent = np.where(exact, _laplacian(samples), 0.0)
+    samples -= bent / 6.0 / (1.0 + (bent / spacing) ** 2)
+    return DistanceField(samples.astype(np.float32), (float(low[0]), float(low[1]), float(low[2])), spacing)
+
+
+def _laplacian(samples: Array) -> Array:
+    """Second differences summed, times spacing² Δ; 0 on the border."""
+    found = np.zeros_like(samples)
+    middle = (slice(1, -1),) * 3
+    for axis in range(3):
+        before, after = list(middle), list(middle)
+        before[axis], after[axis] = slice(None, -2), slice(2, None)
+        found[middle] += samples[tuple(before)] + samples[tuple(after)] - 2.0 * samples[middle]
+    return found
+
+
+def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], spacing: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Samples that are exact near the surface, and between coarse ones far from it; which are which."""
+    from scipy.ndimage import zoom
+
+    coarse_counts = (counts - 1) // COARSE + 1
+
+    def places(index: NDArray[np.integer], step: float) -> Array:
+        return low + step * index
+
+    coarse_index = np.stack(np.meshgrid(*[np.arange(n) for n in coarse_counts], indexing="ij"), axis=-1).reshape(-1, 3)
+    coarse = distance(places(coarse_index, COARSE * spacing)).reshape(coarse_counts)
+    samples = zoom(coarse, counts / coarse_counts, order=1, grid_mode=False)
+    reach = (BAND + 2.0 + np.sqrt(3.0) * COARSE / 2.0) * spacing
+    close = np.abs(coarse) < reach + np.sqrt(3.0) * COARSE * spacing / 2.0
+    exact = np.asarray(zoom(close.astype(np.float32), counts / coarse_counts, order=1) > 0.0)
+    index = np.argwhere(exact)
+    samples[exact] = distance(places(index, spacing))
+    return samples, exact
+
+
+# ---------------------------------------------------------------------------------------------------------------- of a press
+MARGIN_MM = 0.6
+"""Of the grid around the part of the object that the gel may come to."""
+
+
+def distance_field(scene: Scene) -> DistanceField:
+    """The field of a scene's rigid object, over what of it may come to touch the gel."""
+    press, gel = scene.press, scene.gel
+    travel = shapes.furthest_approach(scene) * MM_PER_M
+    half = np.array(gel.size_mm) / 2 + np.abs(press.shear_mm) + MARGIN_MM
+    low = np.array([*(-half - press.offset_mm), -MARGIN_MM])
+    high = np.array([*(half - press.offset_mm), 1.25 * travel + MARGIN_MM])
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
+    corners = corners @ shapes.rotation(scene)  # of the object's frame
+    if press.twist_deg:
+        reach = np.linalg.norm(corners[:, :2], axis=1).max()
+        corners[:, :2] = np.sign(corners[:, :2]) * reach
+    return _field(scene.object, tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
+
+
+@lru_cache(maxsize=4)
+def _field(body: Body, low: tuple[float, ...], high: tuple[float, ...]) -> DistanceField:
+    surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
+    extent = surface.vertices * MM_PER_M
+    begin = np.maximum(low, extent.min(axis=0) - MARGIN_MM)
+    end = np.minimum(high, extent.max(axis=0) + MARGIN_MM)
+    return sampled(exact_distance(body), begin, end, spacing(body))
+
+
+def spacing(body: Body) -> float:
+    """Of the grid that gives edges their radius and follows what is round [mm]."""
+    finest = max(outlines.edge_radius(body) * MM_PER_M, SHARPEST_MM) / ROUNDING
+    round_parts = [outlines.fine_feature(body) * MM_PER_M / 2]
+    if shapes.has_profile(body):
+        round_parts += [abs(segment.radius) * MM_PER_M for segment in outlines.profile(body) if segment.radius]
+    return min(finest, *(part / PER_RADIUS for part in round_parts))
+
+
+TOUCH_MM = 1e-5
+"""Gap at which a rigid object touches."""
+
+
+def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
+    """Where a rigid object, its edges rounded, just touches the undeformed gel: positions = R p + t, R (3, 3), t (3,) [m].
+
+    From where its sharp `surface` touches it is lowered by the smallest distance to a grid of points on the gel, until that is TOUCH_MM at
+    most; then once more with finer points around the nearest, by which it may rise.
+    """
+    turn, shift = shapes.placement(scene, surface)
+    field = distance_field(scene)
+    low = shift * MM_PER_M
+    step, half = 0.1, np.array(scene.gel.size_mm) / 2
+    lines = [np.linspace(-h, h, 1 + 2 * int(np.ceil(h / step))) for h in half]
+    places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    for _ in range(4):
+        points = np.column_stack([places, shapes.gel_height(scene.gel, places / MM_PER_M) * MM_PER_M])
+        near = np.arange(len(points))
+        while True:
+            away = field((points[near] - low) @ turn)
+            if abs(away.min()) <= TOUCH_MM:
+                break
+            low = low - [0.0, 0.0, away.min()]
+            near = near[away < away.min() + 1.0] if len(near) > 1000 else near
+        nearest = near[np.argsort(away)[:500]]
+        step /= 5.0
+        fine = step * np.stack(np.meshgrid(*[np.arange(-5, 6)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+        places = np.clip((places[nearest, None] + fine).reshape(-1, 2), -half, half)
+    return turn, low / MM_PER_M
