@@ -33,8 +33,8 @@ def truth(width: int, height: int) -> Parameters:
     places = [(1.5, 25.0, -0.75, 0.35, 0.55, 0.18), (1.7, 140.0, -0.6, 0.3, 0.7, 0.15), (1.45, 268.0, -0.85, 0.45, 0.45, 0.2)]
     lights = [[a * half, np.radians(b), c * half, 0.0, d, np.log(e * half), np.log(f * half)] for a, b, c, d, e, f in places]
     colours = np.array([[16.0, 1.0, 0.6], [0.8, 17.0, 1.2], [0.5, 1.4, 14.0], [1500.0, 1500.0, 1700.0]])
-    values = np.array([FIELD_MM / width, 34.0, CURVATURE, THICKNESS_MM, 0.2, 0.45, 1.0])
-    return Parameters(values, np.array(lights), colours, np.zeros((0, 3)), half, width / 2, (4.0, 1.49, 1.41))
+    values = np.array([FIELD_MM / width, 34.0, CURVATURE, THICKNESS_MM, 0.2, 0.45, 1.0, 0.0, 0.0, 0.0])
+    return Parameters(values, np.array(lights), colours, half, width / 2, (4.0, 1.49, 1.41))
 
 
 def write_photos(
@@ -87,8 +87,9 @@ def compare(report: dict, sensor: Parameters, presses: np.ndarray) -> list[tuple
     found = report["parameters"]
     rows = []
     for name, value in zip(GLOBALS, sensor.globals, strict=True):
-        if found[name]["state"] != "given":
-            rows.append((name, float(value), found[name]["value"], found[name]["sd"], found[name]["state"]))
+        shown, wanted, _ = in_units(name, float(value), 0.0)
+        if found[shown]["state"] != "given":
+            rows.append((shown, wanted, found[shown]["value"], found[shown]["sd"], found[shown]["state"]))
     names = report["fit"]["lights"][:-1]
     angles = np.array([np.radians(found[f"lights.{name}.azimuth_deg"]["value"]) for name in names])
     for light in sensor.geometry:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SolveError
 from gelsim.pipeline import stages
-from gelsim.scene.definition import Body, Gel, Press, Scene
+from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
@@ -33,6 +33,8 @@ DEPTHS = 24
 REACH = 14.0
 """Largest tabulated ρ/√(R' d); beyond, the gel is taken to be at rest."""
 NODES = 561
+STICKS = Contact()
+"""A scene's default friction."""
 SHALLOWEST = 0.03
 """Smallest depth [mm] that the family is used at."""
 
@@ -64,6 +66,11 @@ class DentFamily:
         """The first of `surface` alone."""
         row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
         return depth_mm * _bilinear(self.height, row, column)
+
+    def pulled(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> Array:
+        """How far outward [mm] material points have moved, at a rest distance from first touch; arrays of one shape."""
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
+        return depth_mm * _bilinear(self.moved[0], row, column)
 
     def displacement(self, distance_mm: Array, depth_mm: float, radius_mm: float) -> tuple[Array, Array]:
         """Radial and vertical displacement [mm] of material points at a rest distance from first touch."""
@@ -99,21 +106,29 @@ class Dents:
     thicknesses_mm: Array
     """Increasing, shape (T,)."""
     families: tuple[DentFamily, ...]
-    """On the same depths."""
+    """On the same depths, with the friction of a scene's default: the ball hardly slips."""
+    slippery: tuple[DentFamily, ...] = ()
+    """Likewise without friction; none: the ball is taken to stick."""
 
     @property
     def deepest_mm(self) -> float:
         return self.families[0].deepest_mm
 
-    def at(self, thickness_mm: float) -> DentFamily:
-        """The family of a thickness, linear in its logarithm between those solved."""
-        if len(self.families) == 1:
-            return self.families[0]
-        place = np.interp(np.log(thickness_mm), np.log(self.thicknesses_mm), np.arange(len(self.families)))
-        index = min(int(place), len(self.families) - 2)
-        share, a, b = place - index, self.families[index], self.families[index + 1]
-        mixed = ((1 - share) * getattr(a, name) + share * getattr(b, name) for name in ("height", "slope", "moved"))
-        return DentFamily(a.depths_mm, *mixed)
+    def at(self, thickness_mm: float, slip: float = 0.0) -> DentFamily:
+        """The family of a thickness, linear in its logarithm between those solved, and between a ball that sticks and one that slips."""
+        sticking = self._at(self.families, thickness_mm)
+        return _mixed(sticking, self._at(self.slippery, thickness_mm), slip) if self.slippery and slip else sticking
+
+    def _at(self, families: tuple[DentFamily, ...], thickness_mm: float) -> DentFamily:
+        if len(families) == 1:
+            return families[0]
+        place = np.interp(np.log(thickness_mm), np.log(self.thicknesses_mm), np.arange(len(families)))
+        index = min(int(place), len(families) - 2)
+        return _mixed(families[index], families[index + 1], place - index)
+
+
+def _mixed(a: DentFamily, b: DentFamily, share: float) -> DentFamily:
+    return DentFamily(a.depths_mm, *((1 - share) * getattr(a, name) + share * getattr(b, name) for name in ("height", "slope", "moved")))
 
 
 THICKNESSES = tuple(float(round(thickness, 3)) for thickness in np.geomspace(1.5, 9.0, 11))
@@ -130,20 +145,22 @@ def solve_dents(gel: Gel, ball_radius_mm: float, known: bool, progress: Callable
     wanted = (gel.thickness_mm,) if known else THICKNESSES
     deepest = min(0.75 * max(wanted), 0.9 * ball_radius_mm)
     depths = np.linspace(deepest / DEPTHS, deepest, DEPTHS)
-    families = []
+    families: tuple[list[DentFamily], list[DentFamily]] = [], []
     for index, thickness in enumerate(wanted):
-        families.append(_solve(replace(gel, thickness_mm=thickness), ball_radius_mm, depths))
+        for contact, into in zip((STICKS, Contact(friction_coefficient=0.0)), families, strict=True):
+            into.append(_solve(replace(gel, thickness_mm=thickness), ball_radius_mm, depths, contact))
         if progress:
             progress(index + 1, len(wanted))
-    return Dents(np.array(wanted), tuple(families))
+    return Dents(np.array(wanted), tuple(families[0]), tuple(families[1]))
 
 
-def _solve(gel: Gel, ball_radius_mm: float, depths: Array) -> DentFamily:
+def _solve(gel: Gel, ball_radius_mm: float, depths: Array, contact: Contact = STICKS) -> DentFamily:
     """One family at the wanted depths; deeper than a gel can be pressed, its last state is kept."""
     deepest = min(0.75 * gel.thickness_mm, float(depths[-1]))
     flat = replace(gel, profile="flat", prony_g=(), prony_tau_s=())
     scene = Scene(
         gel=flat,
+        contact=contact,
         object=Body(shape="hemisphere", rigid=True, radius_mm=ball_radius_mm, height_mm=2 * ball_radius_mm + deepest),
         press=Press(depth_mm=deepest, force_n=None, frames=DEPTHS + 1, symmetry="axisymmetric"),
     )
@@ -180,7 +197,8 @@ def _smooth(places: Array, values: Array, wanted: Array) -> Array:
     """Values at the wanted places by shape-preserving cubics; 0 beyond the last place, reached without a step."""
     from scipy.interpolate import PchipInterpolator
 
-    increasing = np.concatenate([[True], np.diff(places) > 1e-9])
+    # A ball that slips may push a point past its neighbour: beyond the farthest so far, the next one that is farther.
+    increasing = np.concatenate([[True], places[1:] > np.maximum.accumulate(places)[:-1] + 1e-9])
     table = PchipInterpolator(places[increasing], values[increasing], extrapolate=False)(wanted)
     fade = np.clip((REACH - wanted) / (0.1 * REACH), 0, 1)
     return np.nan_to_num(table) * fade

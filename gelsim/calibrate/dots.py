@@ -1,4 +1,4 @@
-"""Markers in photographs: which pixels they darken, so that the fit leaves these out, and the grid they form without contact.
+"""Markers in photographs: which pixels they darken, and the grid they form without contact.
 
 A pixel belongs to a marker if it is darker than 0.8 of the 70th percentile around it. Of the blobs in the no-contact picture that its
 border does not cut, pitch and tilt are those of the square grid that fits their centres by least squares, started from the median distance
@@ -27,13 +27,6 @@ def dark_pixels(photos: Array) -> NDArray[np.bool_]:
     grey = photos.mean(axis=3)
     side = max(7, grey.shape[2] // 12 | 1)
     return grey < DARKER * ndimage.percentile_filter(grey, 70, size=(1, side, side))
-
-
-def with_margin(dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The pixels around them too: a marker's rim is a mixture."""
-    from scipy import ndimage
-
-    return np.asarray(ndimage.binary_dilation(dark, iterations=2, structure=np.ones((1, 3, 3))), bool)
 
 
 def marker_grid(no_contact: Array, mm_per_px: float) -> Markers | None:

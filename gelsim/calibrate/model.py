@@ -1,13 +1,14 @@
 """A picture worked out directly from the parameters, fast enough to be fitted: no inter-reflection, everything else as the renderer has it.
 
+    x_c = m_c(q) [B_c + e (L_c − L⁰_c)],
     L_c(x) = Σ_l L_lc v_l ∫_A f_c(n, ω_l, ω_o) (n·ω_l)(n_l·−ω_l) / r² dA,      f_c = (1 − s) ρ_c/π + s F_c D G / (4 n·ω_l n·ω_o),
 
 with D and G of GGX (Walter et al. 2007, as in Mitsuba), the rectangles' integrals by Gauss' rule, and v_l the visible share of the light:
-the elevation of the dent's profile toward the light against the light's own height. Level = 255 · sRGB(exposure · shading · L)^γ.
+the elevation of the dent's profile toward the light against the light's own height. L⁰ is L without the press, B and m are the even part of
+the photographed rest and its paint, which moves with the membrane, as in `optics.rest`. Level = 255 · sRGB(x)^γ, e the exposure.
 
-Colours enter linearly: `Maps` keeps for each light its diffuse and its glossy part for a unit radiance, so that derivatives by colour cost
-nothing. Left out: inter-reflection, grain, markers (masked), the window's own reflections; `calibrate.fit` corrects for what the renderer
-adds. Lengths in mm throughout.
+Colours enter linearly, so that derivatives by colour cost nothing. Left out: inter-reflection, grain, the window's own reflections;
+`calibrate.run` corrects for what the renderer adds. Lengths in mm throughout.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius
 from gelsim.optics.camera import solve_slope
+from gelsim.optics.rest import DARKEST
 
 Array = NDArray[np.float64]
 
@@ -55,6 +57,34 @@ class Surface:
     """Of the pixel's press, 0 in the rest frame."""
 
 
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """The picture without contact, and its even part, which stays where it is."""
+
+    levels: Array
+    """0 … 255, shape (H, W, 3)."""
+    even: Array
+    """Likewise."""
+
+    def at(self, place: Array, came: Array, gamma: float) -> tuple[Array, Array]:
+        """Even light where a pixel is, and paint where its piece of coat came from, linear, each of shape (N, 3).
+
+        Args:
+            place, came: From the picture's middle [px], shape (N, 2).
+        """
+        even, painted, behind = self._at(self.even, place), self._at(self.levels, came), self._at(self.even, came)
+        return untone(even, gamma), untone(painted, gamma) / np.maximum(untone(behind, gamma), DARKEST)
+
+    def _at(self, levels: Array, place: Array) -> Array:
+        height, width = levels.shape[:2]
+        column = np.clip(place[:, 0] + width / 2 - 0.5, 0, width - 1)
+        row = np.clip(place[:, 1] + height / 2 - 0.5, 0, height - 1)
+        i, j = np.minimum(column.astype(int), width - 2), np.minimum(row.astype(int), height - 2)
+        s, t = (column - i)[:, None], (row - j)[:, None]
+        upper = levels[j, i] * (1 - s) + levels[j, i + 1] * s
+        return upper * (1 - t) + (levels[j + 1, i] * (1 - s) + levels[j + 1, i + 1] * s) * t
+
+
 @dataclass(frozen=True)
 class Shape:
     """Camera and gel: what decides where a pixel looks."""
@@ -69,15 +99,31 @@ class Shape:
     curvature: float
     """Of the dome [1/mm]."""
     ball_mm: float
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """Of the camera about x and y [rad]; its foot is where the picture's middle shows the gel's."""
 
 
 def rays(shape: Shape, place: Array) -> tuple[Array, Array]:
     """Where rays of places in the picture meet z = 0 [mm], and their slopes in the gel, each of shape (N, 2), as in `optics.camera`."""
     air = max(shape.distance_mm - sum(thickness for thickness, _ in shape.layers), LEAST_AIR_MM)
     focal = shape.half_width_px / solve_slope(shape.half_width_px * shape.mm_per_px, air, shape.layers)
-    in_air = place / focal
+    start, slope = _through(shape, air, place / focal)
+    return start + foot(shape), slope
+
+
+def foot(shape: Shape) -> Array:
+    """x and y of the pinhole [mm]."""
+    air = max(shape.distance_mm - sum(thickness for thickness, _ in shape.layers), LEAST_AIR_MM)
+    return -_through(shape, air, np.zeros((1, 2)))[0][0]
+
+
+def _through(shape: Shape, air: float, ideal: Array) -> tuple[Array, Array]:
+    """Of rays by their slopes in the camera's own directions: how far sideways they reach z = 0, and their slopes in the gel."""
+    (cx, sx), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in shape.tilt)
+    x, y, z = (a * ideal[:, 0] + b * ideal[:, 1] + c for a, b, c in ((cy, sy * sx, sy * cx), (0.0, cx, -sx), (-sy, cy * sx, cy * cx)))
+    in_air = np.stack([x / z, y / z], axis=1)
     squared = (in_air**2).sum(axis=1)
-    reach, bent = np.full(len(place), air), np.ones(len(place))
+    reach, bent = np.full(len(ideal), air), np.ones(len(ideal))
     for thickness, index in shape.layers:
         bent = 1 / np.sqrt(index**2 + (index**2 - 1) * squared)
         reach = reach + thickness * bent
@@ -110,6 +156,28 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     view = np.column_stack([-slope, -np.ones(len(z))])
     view /= np.sqrt((view**2).sum(axis=1))[:, None]
     return Surface(point, normal, view, centre, depth)
+
+
+def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -> Array:
+    """Where at rest the piece of coat appeared that a pixel sees now: from the picture's middle [px], shape (N, 2)."""
+    place = pixels.place.copy()
+    some = np.flatnonzero(seen.depth > 0)
+    if len(some) == 0:
+        return place
+    away = seen.point[some, :2] - seen.centre[some]
+    distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
+    before = distance.copy()
+    radius = effective_radius(shape.ball_mm, shape.curvature)
+    for _ in range(6):
+        before = np.maximum(distance - dents.pulled(before, seen.depth[some], radius), 0.0)
+    at = seen.centre[some] + away * (before / distance)[:, None]
+    height = _dome(shape.curvature, at)[0]
+    here = place[some]
+    for _ in range(3):
+        start, slope = rays(shape, here)
+        here = here + (at - start - slope * height[:, None]) / shape.mm_per_px
+    place[some] = here
+    return place
 
 
 def _dome(curvature: float, at: Array) -> tuple[Array, Array]:

@@ -28,10 +28,19 @@ GLOBALS = (
     "coating.specular",
     "coating.roughness",
     "camera.gamma",
+    "camera.tilt_x_rad",
+    "camera.tilt_y_rad",
+    "contact.slip",
 )
 GEOMETRY = ("away_mm", "azimuth_rad", "z_mm", "turn_rad", "elevation_rad", "log_length", "log_height")
 VEIL_Z, VEIL_SIZE = -500.0, 150.0
 """The veil, light that comes from the sensor's inside in general, is a far square on the axis [mm]: no other light hides it."""
+
+OUT_OF_VIEW = 1.0
+"""Lights that start at least so far out, in half diagonals of the field, stand beside the picture at any height; the others below the gel,
+nearer to the axis, as strips along the window's rim or in a narrow housing do."""
+NEAREST, CLEAR_MM = 0.2, 0.5
+"""Of the lights below the gel: to the axis [half diagonals], and from the gel's inner face [mm]."""
 
 # name -> (standard deviation of the prior, lowest, highest)
 PRIORS = {
@@ -41,8 +50,11 @@ PRIORS = {
     "gel.thickness_mm": (1.5, 1.5, 9.0),
     "coating.specular": (0.15, 0.0, 0.9),
     "coating.roughness": (0.12, 0.15, 1.0),
-    "camera.gamma": (0.2, 0.5, 2.0),
-    "away_mm": (0.5, 1.1, 5.0),  # relative to half the field's diagonal: lights stand outside the picture
+    "camera.gamma": (0.5, 0.4, 3.0),
+    "camera.tilt_x_rad": (0.05, -0.35, 0.35),
+    "camera.tilt_y_rad": (0.05, -0.35, 0.35),
+    "contact.slip": (0.5, 0.0, 1.0),
+    "away_mm": (0.5, OUT_OF_VIEW, 5.0),  # relative to half the field's diagonal: beside the picture
     "azimuth_rad": (0.5, -10.0, 10.0),
     "z_mm": (0.4, -2.5, -0.04),  # likewise
     "turn_rad": (0.3, -1.0, 1.0),
@@ -50,7 +62,6 @@ PRIORS = {
     "log_length": (0.4, np.log(0.05), np.log(2.0)),  # likewise
     "log_height": (0.4, np.log(0.03), np.log(0.8)),  # likewise
 }
-SHADING_SD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +74,6 @@ class Parameters:
     """Of each light but the veil, in the order of GEOMETRY, shape (L, 7)."""
     colours: Array
     """Flux of each light in R, G, B [exposure's inverse unit], the veil last, shape (L + 1, 3)."""
-    shading: Array
-    """Coefficients of the camera's shading, shape (S, 3); S = 0: none."""
     half_field_mm: float
     """Half the field's diagonal at the start: the scale of the lights' priors."""
     half_width_px: float
@@ -74,15 +83,15 @@ class Parameters:
 
     @property
     def vector(self) -> Array:
-        return np.concatenate([part.ravel() for part in (self.globals, self.geometry, self.colours, self.shading)])
+        return np.concatenate([part.ravel() for part in (self.globals, self.geometry, self.colours)])
 
     def with_vector(self, vector: Array) -> Parameters:
         parts: list[Array] = []
         start = 0
-        for part in (self.globals, self.geometry, self.colours, self.shading):
+        for part in (self.globals, self.geometry, self.colours):
             parts.append(vector[start : start + part.size].reshape(part.shape))
             start += part.size
-        return replace(self, globals=parts[0], geometry=parts[1], colours=parts[2], shading=parts[3])
+        return replace(self, globals=parts[0], geometry=parts[1], colours=parts[2])
 
     @property
     def names(self) -> list[str]:
@@ -91,7 +100,6 @@ class Parameters:
             *GLOBALS,
             *(f"lights.{name}.{what}" for name in lights[:-1] for what in GEOMETRY),
             *(f"lights.{name}.flux_{c}" for name in lights for c in "rgb"),
-            *(f"camera.shading.{term}.{c}" for term in range(len(self.shading)) for c in "rgb"),
         ]
 
     def prior(self) -> tuple[Array, Array, Array]:
@@ -99,15 +107,23 @@ class Parameters:
         rows = [PRIORS[name] for name in GLOBALS]
         scale = self.globals[0]
         rows[0] = tuple(scale * part for part in rows[0])
-        rows += [self._light_prior(name) for _ in self.geometry for name in GEOMETRY]
+        below = self.geometry[:, 0] < OUT_OF_VIEW * self.half_field_mm
+        inner = GLOBALS.index("gel.thickness_mm")
+        if below.any():
+            # No thicker than leaves the lights below it their place.
+            rows[inner] = (*rows[inner][:2], min(rows[inner][2], self.globals[inner] + CLEAR_MM))
+        rows += [self._light_prior(name, bool(deep)) for deep in below for name in GEOMETRY]
         # The veil stands far off: its flux is of another size.
         rows += [(3 * float(part.max(initial=1e-6)), 0.0, np.inf) for part in (self.colours[:-1], self.colours[-1:]) for _ in part.flat]
-        rows += [(SHADING_SD, -1.0, 1.0)] * self.shading.size
         sd, low, high = np.array(rows).T
         return sd, low, high
 
-    def _light_prior(self, name: str) -> tuple[float, float, float]:
+    def _light_prior(self, name: str, below: bool) -> tuple[float, float, float]:
         sd, low, high = PRIORS[name]
+        if below and name == "away_mm":
+            low, high = NEAREST, OUT_OF_VIEW
+        if below and name == "z_mm":
+            high = -(self.globals[GLOBALS.index("gel.thickness_mm")] + CLEAR_MM) / self.half_field_mm
         scale, shift = self.half_field_mm, np.log(self.half_field_mm)
         if name in ("away_mm", "z_mm"):
             return scale * sd, scale * low, scale * high
@@ -115,7 +131,9 @@ class Parameters:
 
     def shape(self, ball_mm: float) -> Shape:
         layers = ((self.window[0], self.window[1]), (float(self.globals[3]), self.window[2]))
-        return Shape(self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], ball_mm)
+        return Shape(
+            self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], ball_mm, (self.globals[7], self.globals[8])
+        )
 
     def light(self, index: int) -> Array:
         """x, y, z, azimuth and elevation of its face, length, height of a light, for `model`; the veil is the last."""
@@ -148,7 +166,8 @@ def light_names(parameters: Parameters) -> list[str]:
 
 def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) -> Scene:
     """The sensor as a scene: gel, camera, lights, coating; the rest is the start's."""
-    px, distance, curvature, thickness, specular, roughness, gamma = (float(value) for value in parameters.globals)
+    px, distance, curvature, thickness, specular, roughness, gamma, about_x, about_y, _ = (float(value) for value in parameters.globals)
+    foot = model.foot(parameters.shape(1.0))
     lights = []
     for index, (name, flux) in enumerate(zip(light_names(parameters), parameters.colours, strict=True)):
         light = parameters.light(index)
@@ -173,7 +192,9 @@ def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) 
         exposure=EXPOSURE,
         white_balance=(1.0, 1.0, 1.0),
         gamma=gamma,
-        shading=tuple(float(value) for value in parameters.shading.ravel()),
+        shading=(),
+        tilt_deg=(float(np.degrees(about_x)), float(np.degrees(about_y))),
+        offset_mm=(float(foot[0]), float(foot[1])),
         noise_sd=(0.0, 0.0, 0.0),
     )
     return start.replace(

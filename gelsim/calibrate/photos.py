@@ -1,9 +1,9 @@
 """The folder of photographs that `gelsim calibrate` reads: photos.toml, presses.csv, pictures; checked before anything is computed.
 
 photos.toml: `ball_radius_mm`, `no_contact` (both required), `mm_per_px`, `gel` (a [gel] section), `markers`, `linear`. presses.csv, if any:
-file, col_px, row_px, depth_mm, split; any cell may be empty. Without it every other picture of the folder is a press. A picture is 8-bit
-sRGB unless `linear` says that its values are proportional to light; those, and EXR files, are put on the sRGB scale, on which errors are
-counted. Left out: raw camera formats, pictures of 16 bits, which are read as 8.
+file, col_px, row_px, contact_radius_px, depth_mm, split; any cell but the file may be empty. Without it every other picture of the folder
+is a press. A picture is 8-bit sRGB unless `linear` says that its values are proportional to light; those, and EXR files, are put on the
+sRGB scale, on which errors are counted. Left out: raw camera formats, pictures of 16 bits, which are read as 8.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from gelsim.tables import read_csv
 Array = NDArray[np.float64]
 
 KEYS = {"ball_radius_mm": float, "no_contact": str, "mm_per_px": float, "gel": dict, "markers": bool, "linear": bool}
-COLUMNS = ("file", "col_px", "row_px", "depth_mm", "split")
+COLUMNS = ("file", "col_px", "row_px", "contact_radius_px", "depth_mm", "split")
+NUMBERS = ("col_px", "row_px", "contact_radius_px", "depth_mm")
+"""Of them those that are numbers, NaN where a cell is empty."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 SIDE = (32, 4096)
 """Smallest and largest width and height [px]."""
@@ -50,6 +52,8 @@ class Photos:
     """Presses that are predicted, not fitted."""
     hints: Array
     """col [px], row [px], depth [mm] of each press, NaN where not given, shape (P, 3)."""
+    radii: Array
+    """Of the contacts, as a person marked them [px], NaN where not given, shape (P,)."""
     mm_per_px: float | None
     gel: Gel | None
     markers: bool
@@ -92,6 +96,7 @@ def read_photos(folder: Path) -> Photos:
         files=[row["file"] for row in rows],
         test=test,
         hints=hints,
+        radii=np.array([row["contact_radius_px"] for row in rows]),
         mm_per_px=settings.get("mm_per_px"),
         gel=settings.get("gel"),
         markers=settings.get("markers", False),
@@ -129,7 +134,7 @@ def _rows(folder: Path, no_contact: str, sides: dict[str, int]) -> list[dict[str
     path = folder / "presses.csv"
     if not path.exists():
         names = sorted(item.name for item in folder.iterdir() if item.suffix.lower() in SUFFIXES and item.name != no_contact)
-        return [{"file": name, "col_px": math.nan, "row_px": math.nan, "depth_mm": math.nan, "split": ""} for name in names]
+        return [{"file": name, **dict.fromkeys(NUMBERS, math.nan), "split": ""} for name in names]
     header, lines = read_csv(path, known=COLUMNS)
     rows, seen = [], set()
     for number, line in enumerate(lines, start=2):
@@ -144,7 +149,7 @@ def _rows(folder: Path, no_contact: str, sides: dict[str, int]) -> list[dict[str
         seen.add(row["file"])
         if row["split"] not in ("", "train", "test"):
             raise SceneError(f"{where}: split = {row['split']!r}; allowed are train, test, or nothing")
-        for name in ("col_px", "row_px", "depth_mm"):
+        for name in NUMBERS:
             text = (line.get(name) or "").strip()
             try:
                 row[name] = float(text) if text else math.nan
@@ -156,6 +161,9 @@ def _rows(folder: Path, no_contact: str, sides: dict[str, int]) -> list[dict[str
                 raise SceneError(f"{where}: {name} = {row[name]:g} px: allowed is 0 … {sides[name]} px, the picture")
         if row["depth_mm"] <= 0:
             raise SceneError(f"{where}: depth_mm = {row['depth_mm']:g} mm: allowed is more than 0 mm")
+        widest = max(sides.values()) / 2
+        if not (math.isnan(row["contact_radius_px"]) or 0 < row["contact_radius_px"] <= widest):
+            raise SceneError(f"{where}: contact_radius_px = {row['contact_radius_px']:g} px: allowed is more than 0, up to {widest:g} px")
         rows.append(row)
     return rows
 

@@ -1,13 +1,16 @@
-"""The line of a calibration: photographs -> dents -> start -> fit -> the renderer's correction -> test presses -> preset, report, pictures.
+"""The line of a calibration: photographs -> rest and dents -> lights -> fit -> the renderer's correction -> test presses -> preset, report.
 
-The fit's own model has no inter-reflection and no light that hides another. So the renderer draws the fitted sensor, what it adds to the
-model's levels is kept as a constant, and the fit goes on from there: where this has settled, the renderer's pictures are fitted. Presses
-with split = test never enter the sensor's fit; of each, place and depth alone (where not given) are then found with the sensor held.
+The rest is measured: the sensor carries its picture without contact, and only what presses change is fitted (`optics.rest`). The fit's
+own model has no inter-reflection and no light that hides another. So the renderer draws the fitted sensor, what it adds to the model's
+levels is kept as a constant, and the fit goes on from there. One press of the fit in four is left out of it and judges each state of the
+sensor by the renderer's picture; the best one stays, whichever came last. Presses with split = test enter nothing; of each, place and
+depth alone (where not given) are then found with the sensor held.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -19,37 +22,39 @@ from numpy.typing import NDArray
 
 from gelsim.calibrate import dots, drawing, pictures
 from gelsim.calibrate import start as beginning
-from gelsim.calibrate.dent import Dents, effective_radius, solve_dents
+from gelsim.calibrate.dent import SHALLOWEST, Dents, effective_radius, solve_dents
 from gelsim.calibrate.fit import Data, Fitted, brightness, fit
+from gelsim.calibrate.model import Rest
 from gelsim.calibrate.parameters import GLOBALS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.preset import write_preset
 from gelsim.data.metrics import picture_errors
 from gelsim.errors import SceneError
+from gelsim.optics.rest import even_part, save_levels
 from gelsim.pipeline import outputs
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene, preset_names
-from gelsim.scene.limits import SHADING_DEGREES
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 FIT_WIDTH = 160
 """Pictures are averaged down to at most this width for the fit; the predictions are scored at full size."""
-MOST_PIXELS = 22000
-"""Compared in one fit, in all photographs together."""
-FELT = 1.8
-"""Of a dent's visible radius: how far from its middle a press is compared by itself."""
+MOST_PIXELS = 9000
+"""Compared in one fit, in all photographs together: more changed the squared error on test presses by less than 3 %, and take longer."""
+FELT = 2.2
+"""Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
+LEAST_REACH = 0.12
+"""Of the picture's width, likewise: dots move farther than light changes."""
 NEEDED = 1.05
 """A light is needed if the squared error without it is larger by this factor."""
 ROUNDS = 2
 """Of the renderer's correction."""
-CORRECTION_SPP, SCORE_SPP = 24, 24
+CORRECTION_SPP, SCORE_SPP = 24, 64
 SMOOTHING = 0.8
 """Standard deviation [px] of the mean over the renderer's noise in what it adds."""
-SHADING_DEGREE = 3
 VALIDATION = 4
-"""One in so many presses of the fit decides whether shading helps; with fewer than twice as many presses there is none."""
+"""One in so many presses is left out of the fit to judge its states; with fewer than twice as many, those of the fit judge."""
 UNDETERMINED = 0.7
 """A parameter whose uncertainty is more than this share of its prior's was not determined by the photographs."""
 CROP = 0.625
@@ -67,10 +72,13 @@ class _Job:
     factor: int
     reduced: Array
     """Photographs for the fit, shape (P, h, w, 3)."""
-    no_contact: Array
     rest: Array
-    masked: NDArray[np.bool_] | None
+    """The picture without contact, at the photographs' own size."""
+    small: Rest
+    """Likewise, as the fit has it."""
+    small_path: Path
     contacts: Array
+    """Of the dents: column, row, radius in reduced pixels, shape (P, 3)."""
     dents: Dents
     frozen_globals: NDArray[np.bool_]
     device: str
@@ -80,16 +88,15 @@ class _Job:
         """Width and height of the field in reduced pixels."""
         return self.photos.size[0] / self.factor, self.photos.size[1] / self.factor
 
-    def data(self, some: NDArray[np.int64], presses: Array, mm_per_px: float, degree: int, correction: tuple[Array, Array] | None) -> Data:
-        reach = np.maximum(FELT * self.contacts[some, 2], 6.0) * mm_per_px
-        near = np.pi * (reach / mm_per_px) ** 2
-        stride = int(np.ceil(np.sqrt((near.sum() + self.rest.shape[0] * self.rest.shape[1]) / MOST_PIXELS)))
-        masked = None if self.masked is None else self.masked[np.concatenate([[0], 1 + some])]
-        picked = None if correction is None else (correction[0], correction[1][some])
-        return beginning.gather(
-            self.no_contact, self.reduced[some], presses, mm_per_px, reach, masked,
-            stride=max(stride, 1), degree=degree, size=self.size, correction=picked,
-        )  # fmt: skip
+    def reach(self, some: NDArray[np.int64]) -> Array:
+        """How far from its middle a dent is compared [reduced pixels]."""
+        return np.maximum(FELT * self.contacts[some, 2], LEAST_REACH * self.size[0])
+
+    def data(self, some: NDArray[np.int64], correction: Array | None, most: int = MOST_PIXELS) -> Data:
+        reach = self.reach(some)
+        stride = max(int(np.ceil(np.sqrt(np.pi * (reach**2).sum() / most))), 1)
+        picked = None if correction is None else correction[some]
+        return beginning.gather(self.reduced[some], self.contacts[some], reach, self.small, stride=stride, correction=picked)
 
     def frozen(self, parameters: Parameters) -> NDArray[np.bool_]:
         frozen = np.zeros(parameters.vector.size, bool)
@@ -115,64 +122,120 @@ def calibrate(
     photos = read_photos(folder)
     show = progress or (lambda stage, done, total: None)
     warnings: list[str] = []
-    job, mm_per_px = _prepare(photos, _base(sensor), device, show, warnings)
-    train, test = np.flatnonzero(~photos.test), np.flatnonzero(photos.test)
+    with tempfile.TemporaryDirectory() as scratch:
+        job, mm_per_px = _prepare(photos, _base(sensor), Path(scratch), device, show, warnings)
+        full_rest = Path(scratch) / "full.png"
+        save_levels(job.rest, full_rest)
+        first, presses, states, judged = _states(job, mm_per_px, show)
+        state = min(states, key=lambda each: each.error)
+        sd = _press_sd(job, presses)
+        if len(judged):
+            states.append(_of_all(job, state, presses, sd, judged, show))
+            state = min(state, states[-1], key=lambda each: each.error)
+        places, press_sd = presses.copy(), np.full((len(presses), 3), np.nan)
+        count = state.fitted.parameters.vector.size
+        spread = np.sqrt(np.maximum(np.diag(state.fitted.covariance), 0))
+        places[state.which], press_sd[state.which] = state.fitted.presses, spread[count:].reshape(-1, 3)
+        others = np.setdiff1d(np.arange(len(presses)), state.which)
+        if len(others):
+            found = _locate(job, state, places[others], sd[others], others, show)
+            places[others] = found.presses
+            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, 3)
+        fitted = state.fitted
 
+        scene = _full_scene(job, fitted.parameters, full_rest)
+        if photos.markers:
+            grid = dots.marker_grid(photos.no_contact, fitted.parameters.globals[0] / job.factor)
+            if grid is None:
+                warnings.append("markers = true, but no grid of dark spots is seen in no_contact: where their centres are is not known")
+            else:
+                scene = scene.replace(markers=grid)
+        shown_rest, shown = _draw(job, scene, fitted.parameters, places, SCORE_SPP, show, "pictures")
+        test = np.flatnonzero(photos.test)
+        rows = _rows(test if len(test) else np.flatnonzero(~photos.test))
+        before = _full_scene(job, first, full_rest)
+        before_rest, before_shown = _draw(job, before, first, presses[rows], CORRECTION_SPP, show, "before")
+        report = _report(job, scene, fitted, state.believed, places, press_sd, shown_rest, shown, warnings)
+        report["states"] = {
+            "presses_left_out": [photos.files[index] for index in judged],
+            "judged_by": "presses of the fit that were left out" if len(judged) else "the presses of the fit: too few to leave some out",
+            "mse": {each.name: each.error for each in states},
+            "kept": state.name,
+        }
+        report |= {"out": str(out), "sensor": sensor, "seconds": round(time.perf_counter() - begun, 1)}
+        plain = outputs.plain_json(report)
+        assert isinstance(plain, dict)
+        _write(target, out, scene, plain, job, sensor, rows, (shown_rest, shown[rows]), (before_rest, before_shown))
+    return plain
+
+
+@dataclass
+class _State:
+    """A sensor on the way, and how well it predicts."""
+
+    name: str
+    fitted: Fitted
+    believed: Parameters
+    """Centre of its priors."""
+    which: NDArray[np.int64]
+    """The presses that it was fitted to."""
+    correction: Array | None
+    """What the renderer adds to the model, of each photograph."""
+    error: float = np.inf
+    """Mean squared error of the renderer's pictures about the dents of the presses that judge [levels squared]."""
+
+
+def _states(job: _Job, mm_per_px: float, show: Progress) -> tuple[Parameters, Array, list[_State], NDArray[np.int64]]:
+    """The start, all presses at the start, the states of the fit with their errors, and the presses that judged them."""
+    train = np.flatnonzero(~job.photos.test)
+    left_out = np.arange(len(train)) % VALIDATION == VALIDATION // 2
+    if len(train) < 2 * VALIDATION:
+        left_out[:] = False
+    kept, judging = train[~left_out], train[left_out]
     seed, presses = _seed(job, mm_per_px)
     sd = _press_sd(job, presses)
-    data = job.data(train, presses[train], mm_per_px, 0, None)
+    data = job.data(kept, None)
     show("lights", 0, 1)
-    first = beginning.choose_lights(seed, presses[train], data, job.dents, photos.ball_mm)
+    first = beginning.choose_lights(seed, presses[kept], data, job.dents, job.photos.ball_mm)
     show("lights", 1, 1)
-    rough = _fit(job, first, presses[train], sd[train], data, first, 25, "rough fit", show)
+    fitted = _fit(job, first, presses[kept], sd[kept], data, first, 30, "fit", show)
+    believed, fitted = _without_needless_lights(job, first, fitted, sd[kept], data, show)
+    presses[kept] = fitted.presses
+    states = [_State("fit", fitted, believed, kept, None)]
+    for number in range(ROUNDS + 1):
+        state = states[-1]
+        if len(judging):
+            presses[judging] = _locate(job, state, presses[judging], sd[judging], judging, show).presses
+        pictures, added = _correction(job, state, presses, train, show, f"render {number + 1}")
+        state.error, state.correction = _dent_error(job, pictures, judging if len(judging) else kept), added
+        if number < ROUNDS:
+            data = job.data(kept, added)
+            fitted = _fit(job, state.fitted.parameters, presses[kept], sd[kept], data, believed, 10, f"fit {number + 2}", show)
+            presses[kept] = fitted.presses
+            states.append(_State(f"fit after render {number + 1}", fitted, believed, kept, added))
+    return first, presses, states, judging
 
-    degree = 0
-    validation: dict[str, Any] = {"tried": False}
-    if len(train) >= 2 * VALIDATION:
-        validation = _validate_shading(job, rough, first, sd, train, show)
-        degree = SHADING_DEGREE if validation["helps"] else 0
-    believed, begin = _with_shading(first, degree), _with_shading(rough.parameters, degree)
-    fitted = _fit(
-        job, begin, rough.presses, sd[train], job.data(train, rough.presses, begin.globals[0], degree, None), believed, 25, "fit", show
-    )
-    correction = None
-    for number in range(ROUNDS):
-        correction = _correction(job, fitted, train, degree, show, f"render {number + 1}")
-        data = job.data(train, fitted.presses, fitted.parameters.globals[0], degree, correction)
-        fitted = _fit(job, fitted.parameters, fitted.presses, sd[train], data, believed, 10, f"fit {number + 2}", show)
-        believed, fitted = _without_needless_lights(job, believed, fitted, sd[train], data, show)
 
-    places = presses.copy()
-    places[train] = fitted.presses
-    press_sd = np.full((len(places), 3), np.nan)
-    count = fitted.parameters.vector.size
-    spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0))
-    press_sd[train] = spread[count:].reshape(-1, 3)
-    if len(test):
-        found = _locate(job, fitted.parameters, places[test], sd[test], test, degree, None, show)
-        places[test] = found.presses
-        moved = _correction(job, replace(found, parameters=fitted.parameters), test, degree, show, "render test")
-        found = _locate(job, fitted.parameters, places[test], sd[test], test, degree, moved, show)
-        places[test] = found.presses
-        press_sd[test] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, 3)
+def _of_all(job: _Job, state: _State, presses: Array, sd: Array, judged: NDArray[np.int64], show: Progress) -> _State:
+    """The fit gone on from a state with the presses that judged it, which it must then explain at least as well as before."""
+    train = np.flatnonzero(~job.photos.test)
+    begun = presses.copy()
+    begun[state.which] = state.fitted.presses
+    begun[judged] = _locate(job, state, begun[judged], sd[judged], judged, show).presses
+    data = job.data(train, state.correction)
+    fitted = _fit(job, state.fitted.parameters, begun[train], sd[train], data, state.believed, 10, "fit of all", show)
+    every = _State("fit of all presses", fitted, state.believed, train, state.correction)
+    begun[train] = fitted.presses
+    pictures, every.correction = _correction(job, every, begun, train, show, "render all")
+    every.error = _dent_error(job, pictures, judged)
+    return every
 
-    scene = _full_scene(job, fitted.parameters)
-    if photos.markers:
-        grid = dots.marker_grid(photos.no_contact, fitted.parameters.globals[0] / job.factor)
-        if grid is None:
-            warnings.append("markers = true, but no grid of dark spots is seen in no_contact: the preset has none")
-        else:
-            scene = scene.replace(markers=grid)
-    shown_rest, shown = _draw(job, scene, fitted.parameters, places, SCORE_SPP, show, "pictures")
-    before = _full_scene(job, first)
-    rows = _rows(test if len(test) else train)
-    before_rest, before_shown = _draw(job, before, first, presses[rows], CORRECTION_SPP, show, "before")
-    report = _report(job, scene, fitted, believed, places, press_sd, shown_rest, shown, validation, warnings)
-    report |= {"out": str(out), "sensor": sensor, "seconds": round(time.perf_counter() - begun, 1)}
-    plain = outputs.plain_json(report)
-    assert isinstance(plain, dict)
-    _write(target, out, scene, plain, job, sensor, rows, (shown_rest, shown[rows]), (before_rest, before_shown))
-    return plain
+
+def _dent_error(job: _Job, pictures: Array, which: NDArray[np.int64]) -> float:
+    """Mean squared error where dents are compared, over all of these presses."""
+    rows, columns = np.mgrid[: pictures.shape[1], : pictures.shape[2]] + 0.5
+    near = [np.hypot(columns - c[0], rows - c[1]) <= reach for c, reach in zip(job.contacts[which], job.reach(which), strict=True)]
+    return float(((pictures[which] - job.reduced[which]) ** 2)[np.array(near)].mean())
 
 
 def summary(report: Mapping[str, Any]) -> str:
@@ -190,10 +253,18 @@ def summary(report: Mapping[str, Any]) -> str:
 def _check_out(out: Path, force: bool) -> outputs.ResultFolder:
     if out.suffix != ".toml":
         raise SceneError(f"--out {out}: a sensor preset ends in .toml")
-    for path in (out, *(out.parent / name for name in ("report.json", "comparison.png", "residuals.png"))):
+    for path in (out, *(out.parent / name for name in (_rest_name(out), "report.json", "comparison.png", "residuals.png"))):
         if path.exists() and not force:
             raise SceneError(f"--out {out}: {path} exists; give --force to write over it, or another folder")
     return outputs.ResultFolder(out.parent, resume=True)
+
+
+def _save(levels: Array, path: Path) -> None:
+    save_levels(levels, path)
+
+
+def _rest_name(out: Path) -> str:
+    return f"{out.stem}_rest.png"
 
 
 def _is_preset(sensor: str) -> bool:
@@ -208,20 +279,27 @@ def _base(sensor: str | None) -> Scene:
     return empty_scene(start.gel, camera, replace(start.lights, window_reflection=False))
 
 
-def _prepare(photos: Photos, base: Scene, device: str, show: Progress, warnings: list[str]) -> tuple[_Job, float]:
-    """Reduced pictures, contacts and dents; and the scale of the start [mm a reduced pixel]."""
+def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Progress, warnings: list[str]) -> tuple[_Job, float]:
+    """Reduced pictures, contacts, rest and dents; and the scale of the start [mm a reduced pixel]."""
     factor = int(np.ceil(photos.size[0] / FIT_WIDTH))
     reduced, no_contact = _reduce(photos.pictures, factor), _reduce(photos.no_contact[None], factor)[0]
     if photos.gel is not None:
         base = base.replace(gel=photos.gel)
-    rest = beginning.rest_picture(no_contact, reduced[~photos.test])
-    masked = dots.with_margin(dots.dark_pixels(np.concatenate([no_contact[None], reduced]))) if photos.markers else None
-    contacts, sure = beginning.find_contacts(rest, reduced, masked)
+    contacts, sure = beginning.find_contacts(no_contact, reduced)
+    # What a person marked is believed.
+    marked = np.column_stack([photos.hints[:, :2], beginning.DRAPE * photos.radii]) / factor
+    contacts = np.where(np.isfinite(marked), marked, contacts)
+    sure |= np.isfinite(marked).all(axis=1)
     if not sure.all():
         lost = [name for name, found in zip(photos.files, sure, strict=True) if not found]
         raise SceneError(
             f"no contact can be seen in {', '.join(lost[:5])}: they differ from no_contact nowhere; leave them out of presses.csv"
         )
+    train = ~photos.test
+    rest = beginning.rest_picture(photos.no_contact, photos.pictures[train], contacts[train] * factor, FELT)
+    # Eight bits here too: the renderer reads the picture from a file.
+    small_path = scratch / "small.png"
+    small = save_levels(_reduce(rest[None], factor)[0], small_path)
     clipped = float((reduced >= 254.5).mean())
     if clipped > 0.02:
         warnings.append(f"{100 * clipped:.0f} % of the values are at 255: what is clipped says nothing; photograph with less exposure")
@@ -234,7 +312,8 @@ def _prepare(photos: Photos, base: Scene, device: str, show: Progress, warnings:
     frozen[GLOBALS.index("camera.mm_per_px")] = photos.mm_per_px is not None
     for name in ("gel.curvature", "gel.thickness_mm"):
         frozen[GLOBALS.index(name)] = photos.gel is not None
-    return _Job(photos, base, factor, reduced, no_contact, rest, masked, contacts, dents, frozen, device), mm_per_px * factor
+    kept = Rest(small, even_part(small))
+    return _Job(photos, base, factor, reduced, rest, kept, small_path, contacts, dents, frozen, device), mm_per_px * factor
 
 
 def _reduce(pictures: Array, factor: int) -> Array:
@@ -247,11 +326,11 @@ def _reduce(pictures: Array, factor: int) -> Array:
 def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:
     photos = job.photos
     curvature, thickness = curvature_of(job.base.gel), job.base.gel.thickness_mm
-    values = np.array([mm_per_px, job.base.camera.distance_mm, curvature, thickness, 0.1, 0.4, 1.0])
+    values = np.array([mm_per_px, job.base.camera.distance_mm, curvature, thickness, 0.1, 0.4, 1.0, 0.0, 0.0, 0.5])
     half_field = 0.5 * float(np.hypot(*job.size)) * mm_per_px
     lights = job.base.lights
     window = (lights.window_thickness_mm, lights.window_ior, lights.gel_ior)
-    seed = Parameters(values, np.zeros((0, 7)), np.ones((1, 3)), np.zeros((0, 3)), half_field, job.size[0] / 2, window)
+    seed = Parameters(values, np.zeros((0, 7)), np.ones((1, 3)), half_field, job.size[0] / 2, window)
     presses = beginning.rough_presses(job.contacts, mm_per_px, job.size, photos.ball_mm, curvature, job.dents.deepest_mm)
     for k in range(2):
         given = np.isfinite(photos.hints[:, k])
@@ -287,84 +366,58 @@ def _without_needless_lights(
         lit = brightness(rough.parameters, rough.presses, data, job.dents, job.photos.ball_mm)
         kept = np.delete(np.arange(len(lit) + 1), int(lit.argmin()))
         fewer, begin = (replace(each, geometry=each.geometry[kept[:-1]], colours=each.colours[kept]) for each in (first, rough.parameters))
-        trial = _fit(job, begin, rough.presses, sd, data, fewer, 15, f"fit of {len(kept) - 1} lights", show)
+        trial = _fit(job, begin, rough.presses, sd, data, fewer, 10, f"fit of {len(kept) - 1} lights", show)
         if trial.rms**2 > NEEDED * rough.rms**2:
             break
         first, rough = fewer, trial
     return first, rough
 
 
-def _with_shading(parameters: Parameters, degree: int) -> Parameters:
-    terms = next((count for count, known in SHADING_DEGREES.items() if known == degree), 0)
-    return replace(parameters, shading=np.zeros((terms, 3)))
-
-
-def _locate(
-    job: _Job, parameters: Parameters, presses: Array, sd: Array, which: NDArray[np.int64], degree: int,
-    correction: tuple[Array, Array] | None, show: Progress,
-) -> Fitted:  # fmt: skip
+def _locate(job: _Job, state: _State, presses: Array, sd: Array, which: NDArray[np.int64], show: Progress) -> Fitted:
     """Places and depths of presses with the sensor held."""
-    data = job.data(which, presses, parameters.globals[0], degree, correction)
+    parameters = state.fitted.parameters
     return fit(
-        parameters, presses, data, job.dents, job.photos.ball_mm, press_sd=sd, frozen=np.ones(parameters.vector.size, bool),
-        iterations=12, progress=lambda done, total: show("locate", done, total),
+        parameters, presses, job.data(which, state.correction, 2 * MOST_PIXELS), job.dents, job.photos.ball_mm, press_sd=sd,
+        frozen=np.ones(parameters.vector.size, bool), iterations=15, progress=lambda done, total: show("locate", done, total),
     )  # fmt: skip
 
 
-def _validate_shading(
-    job: _Job, rough: Fitted, believed: Parameters, sd: Array, train: NDArray[np.int64], show: Progress
-) -> dict[str, Any]:
-    """Squared error on presses of the fit that are left out, without and with shading."""
-    left_out = np.arange(len(train)) % VALIDATION == VALIDATION // 2
-    kept, held = train[~left_out], train[left_out]
-    errors = {}
-    for degree in (0, SHADING_DEGREE):
-        begin = _with_shading(rough.parameters, degree)
-        data = job.data(kept, rough.presses[~left_out], begin.globals[0], degree, None)
-        name = f"fit, shading {degree}"
-        inner = _fit(job, begin, rough.presses[~left_out], sd[kept], data, _with_shading(believed, degree), 12, name, show)
-        found = _locate(job, inner.parameters, rough.presses[left_out], sd[held], held, degree, None, show)
-        errors[degree] = found.rms**2
-    return {
-        "tried": True,
-        "presses_left_out": [job.photos.files[index] for index in held],
-        "mse_without": errors[0],
-        "mse_with": errors[SHADING_DEGREE],
-        "helps": bool(errors[SHADING_DEGREE] < 0.97 * errors[0]),
-    }
-
-
-def _full_scene(job: _Job, parameters: Parameters) -> Scene:
+def _full_scene(job: _Job, parameters: Parameters, rest: Path) -> Scene:
     """The sensor at the photographs' own resolution."""
     values = parameters.globals.copy()
     values[0] /= job.factor
-    return to_scene(replace(parameters, globals=values), job.base, job.photos.size)
+    return _with_rest(to_scene(replace(parameters, globals=values), job.base, job.photos.size), rest)
+
+
+def _with_rest(scene: Scene, rest: Path) -> Scene:
+    return scene.replace(camera=replace(scene.camera, rest=str(rest)))
 
 
 def _draw(job: _Job, scene: Scene, parameters: Parameters, presses: Array, spp: int, show: Progress, name: str) -> tuple[Array, Array]:
     scene = scene.replace(render=replace(scene.render, mode="path", spp=spp))
     rest, images = drawing.draw(
-        scene, job.dents.at(parameters.globals[3]), job.photos.ball_mm, list(presses), device=job.device,
+        scene, job.dents.at(parameters.globals[3], parameters.globals[9]), job.photos.ball_mm, list(presses), device=job.device,
         progress=lambda done, total: show(name, done, total),
     )  # fmt: skip
     return rest.astype(float), images.astype(float)
 
 
-def _correction(job: _Job, fitted: Fitted, which: NDArray[np.int64], degree: int, show: Progress, name: str) -> tuple[Array, Array]:
-    """What the renderer adds to the model's levels: of the rest picture, and of each photograph (0 for those not in `which`)."""
+def _correction(job: _Job, state: _State, presses: Array, which: NDArray[np.int64], show: Progress, name: str) -> tuple[Array, Array]:
+    """The renderer's reduced pictures of presses, and what it adds to the model's levels; 0 for photographs that are not in `which`."""
     from scipy.ndimage import gaussian_filter
 
-    height, width = job.rest.shape[:2]
-    scene = to_scene(fitted.parameters, job.base, (width, height))
-    rest, images = _draw(job, scene, fitted.parameters, fitted.presses, CORRECTION_SPP, show, name)
-    reach = np.maximum(FELT * job.contacts[which, 2], 6.0)
-    middles, means = beginning.whole_pictures(fitted, degree, job.dents, job.photos.ball_mm, (height, width), reach)
+    height, width = job.reduced.shape[1:3]
+    fitted = replace(state.fitted, presses=presses[which])
+    scene = _with_rest(to_scene(fitted.parameters, job.base, (width, height)), job.small_path)
+    _, images = _draw(job, scene, fitted.parameters, fitted.presses, CORRECTION_SPP, show, name)
+    middles, means = beginning.model_pictures(
+        fitted, job.small, job.dents, job.photos.ball_mm, job.contacts[which], job.reach(which), images
+    )
     # What inter-reflection adds is smooth, so that the renderer's noise can be smoothed away; what a pixel averages over is not.
-    drawn = np.concatenate([rest[None], images])
-    added = gaussian_filter(drawn - means, (0, SMOOTHING, SMOOTHING, 0)) + (means - middles)
-    whole = np.zeros((len(job.reduced), height, width, 3))
-    whole[which] = added[1:]
-    return added[0], whole
+    added = gaussian_filter(images - means, (0, SMOOTHING, SMOOTHING, 0)) + (means - middles)
+    drawn, whole = np.zeros_like(job.reduced), np.zeros_like(job.reduced)
+    drawn[which], whole[which] = images, added
+    return drawn, whole
 
 
 def _rows(which: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -383,7 +436,7 @@ def _crop(picture: Array, place: Array) -> Array:
 
 def _report(
     job: _Job, scene: Scene, fitted: Fitted, believed: Parameters, places: Array, press_sd: Array, shown_rest: Array, shown: Array,
-    validation: dict[str, Any], warnings: list[str],
+    warnings: list[str],
 ) -> dict[str, Any]:  # fmt: skip
     photos = job.photos
     spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0))[: fitted.parameters.vector.size]
@@ -418,6 +471,7 @@ def _report(
         whole = picture_errors(shown[index], photos.pictures[index])
         crop = picture_errors(_crop(shown[index], pixels[index]), _crop(photos.pictures[index], pixels[index]))
         unmoved = picture_errors(photos.no_contact, photos.pictures[index])
+        unmoved_crop = picture_errors(_crop(photos.no_contact, pixels[index]), _crop(photos.pictures[index], pixels[index]))
         rows.append(
             {
                 "file": file, "split": split, "offset_mm": places[index, :2], "depth_mm": places[index, 2], "sd_mm": press_sd[index],
@@ -425,26 +479,35 @@ def _report(
             }
         )  # fmt: skip
         scores.setdefault(split, []).append((whole, crop))
-        scores.setdefault(f"no_contact_as_{split}", []).append((unmoved, unmoved))
+        scores.setdefault(f"no_contact_as_{split}", []).append((unmoved, unmoved_crop))
     means = {name: _mean_scores(pairs) for name, pairs in scores.items()}
-    error, unmoved_error = (means[name]["whole"]["mse"] for name in ("train", "no_contact_as_train"))
-    if error > unmoved_error:
+    splits = [split for split in ("train", "test") if split in means]
+    ratios = {split: means[split]["whole"]["mse"] / means[f"no_contact_as_{split}"]["whole"]["mse"] for split in splits}
+    judge = splits[-1]
+    if ratios[judge] > 1:
         warnings.append(
-            f"the fitted sensor explains the presses worse than the no-contact picture does (MSE {error:.1f}, not "
-            f"{unmoved_error:.1f}): do not use it; check ball_radius_mm, mm_per_px and that all pictures are of one sensor"
+            f"the fitted sensor explains the {judge} presses worse than the no-contact picture does (MSE "
+            f"{means[judge]['whole']['mse']:.1f}, not {means[f'no_contact_as_{judge}']['whole']['mse']:.1f}): do not use it; "
+            f"{_advice(photos)}"
         )
+    for bound, what in ((job.dents.deepest_mm, "deepest that is solved"), (SHALLOWEST, "least")):
+        names = [name for name, depth in zip(photos.files, places[:, 2], strict=True) if np.isclose(depth, bound, rtol=1e-3)]
+        if names:
+            warnings.append(
+                f"depth at its bound of {bound:.2g} mm, the {what}: {', '.join(names[:6])}; {_advice(photos)}, or leave them out"
+            )
     return {
         "parameters": table,
         "conventions": CONVENTIONS,
         "presses": rows,
+        "mse_of_no_contact": ratios,
         "scores": means | {"no_contact": _mean_scores([(rest_errors, rest_errors)])},
         "fit": {
             "rms_levels": fitted.rms,
             "noise_levels": fitted.sigma,
             "lights": light_names(fitted.parameters),
-            "width_px": job.rest.shape[1],
+            "width_px": job.reduced.shape[2],
         },
-        "shading": validation,
         "choices": {
             "start": job.base.sensor.preset,
             "gel": "given" if photos.gel else "thickness and dome fitted, size and hardness of the start",
@@ -454,6 +517,13 @@ def _report(
         "versions": {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "mitsuba")},
         "warnings": warnings,
     }
+
+
+def _advice(photos: Photos) -> str:
+    """What is left to try: of the inputs those that were not given, and the ball."""
+    tries = [] if photos.mm_per_px else ["give mm_per_px in photos.toml"]
+    tries += [] if photos.gel else ["give [gel] with its thickness_mm and profile"]
+    return " and ".join(["check ball_radius_mm", *tries])
 
 
 def _mean_scores(pairs: list[tuple[dict[str, float], dict[str, float]]]) -> dict[str, Any]:
@@ -478,6 +548,8 @@ def _write(
     columns = (("photograph", seen), ("before: the start", began), ("after: the fitted sensor", fitted))
     folder.write("comparison.png", lambda path: pictures.draw_comparison(path, columns, captions))
     folder.write("residuals.png", lambda path: pictures.draw_residuals(path, seen, fitted, captions))
+    folder.write(_rest_name(out), lambda path: _save(job.rest, path))
     folder.write("report.json", lambda path: outputs.write_report(path, report))
     name = out.stem if sensor is None or _is_preset(sensor) else sensor
-    folder.write(out.name, lambda path: write_preset(path, scene, report, name))
+    written = scene.replace(camera=replace(scene.camera, rest=_rest_name(out)))
+    folder.write(out.name, lambda path: write_preset(path, written, report, name))

@@ -1,9 +1,9 @@
 """From photographs to a sensible start: where the contacts are, what the gel looks like at rest, and where light comes from.
 
-Contacts: the largest connected patch in which a photograph differs from the rest picture; the drape around a ball is about half as wide
-again as the contact, so a ≈ r / 1.5 and the depth a²/R. Lights: of a set of places around the sensor, those that together explain the
-photographs best with non-negative colours, chosen one at a time (orthogonal matching pursuit; Pati et al. 1993). The number of lights
-follows from the photographs: one more is taken while it removes a share of the squared error.
+Contacts: the largest connected patch in which a photograph, its dots filtered away, differs from the rest; the drape around a ball is
+about half as wide again as the contact, so a ≈ r / 1.5 and the depth a²/R. Lights: of a set of places around the sensor and below its gel,
+those that together explain best what the presses change, with non-negative colours, chosen one at a time (orthogonal matching pursuit;
+Pati et al. 1993). The number of lights follows from the photographs: one more is taken while it removes a share of the squared error.
 """
 
 from __future__ import annotations
@@ -16,37 +16,49 @@ from numpy.typing import NDArray
 from gelsim.calibrate import model
 from gelsim.calibrate.dent import SHALLOWEST, Dents
 from gelsim.calibrate.fit import Data, Evaluation, Fitted
-from gelsim.calibrate.parameters import Parameters
-from gelsim.optics.shading import shading_basis
+from gelsim.calibrate.parameters import CLEAR_MM, OUT_OF_VIEW, Parameters
+from gelsim.optics.rest import UPPER
 
 Array = NDArray[np.float64]
 
 DRAPE = 1.5
 """Width of the visible dent over that of the contact."""
-MOST_LIGHTS, WORTH = 6, 0.08
+MOST_LIGHTS, WORTH = 6, 0.04
 """A further light must remove this share of the squared error."""
 SUBPIXEL = 0.5 / np.sqrt(3)
 """Gauss' two points across a pixel, from its middle."""
+UNPAINTED = 0.8
+"""Of the even light: darker is a dot."""
+DOT = 20
+"""Windows across the picture that a dot takes less than half of."""
+OUTVOTED = 6
+"""Photographs that outvote their dents."""
 BLOCK = 12
 """Side of the pixel blocks that share errors [pixels of the fit]."""
 
 
-def rest_picture(no_contact: Array, photos: Array) -> Array:
-    """The picture without contact, shape (H, W, 3): the median over all photographs where there are enough to outvote the dents."""
-    return np.median(np.concatenate([no_contact[None], photos]), axis=0) if len(photos) >= 6 else no_contact
+def even_light(pictures: Array) -> Array:
+    """Pictures (N, H, W, 3) without their dots: a high percentile of windows somewhat larger than a dot."""
+    from scipy import ndimage
+
+    side = pictures.shape[2] // DOT | 1
+    return np.asarray(ndimage.percentile_filter(pictures, UPPER, size=(1, side, side, 1)))
 
 
-def find_contacts(rest: Array, photos: Array, masked: NDArray[np.bool_] | None) -> tuple[Array, NDArray[np.bool_]]:
-    """Middle (column, row) and radius of each dent [px], shape (P, 3), and whether one was found."""
+def find_contacts(no_contact: Array, photos: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Middle (column, row) and radius of each dent [px], shape (P, 3), and whether one was found.
+
+    Of a median over all photographs the dents are outvoted where there are enough of them.
+    """
     from scipy import ndimage
 
     found = np.zeros((len(photos), 3))
     sure = np.zeros(len(photos), bool)
-    width = rest.shape[1]
-    for index, photo in enumerate(photos):
-        difference = photo - rest
-        if masked is not None:
-            difference = np.where((masked[0] | masked[1 + index])[..., None], 0.0, difference)
+    width = no_contact.shape[1]
+    even = even_light(np.concatenate([no_contact[None], photos]))
+    rest = np.median(even, axis=0) if len(photos) >= OUTVOTED else even[0]
+    for index in range(len(photos)):
+        difference = even[1 + index] - rest
         # Slow drifts of colour are no contact.
         difference = difference - np.median(difference, axis=(0, 1))
         size = np.sqrt((ndimage.gaussian_filter(difference, (0.012 * width, 0.012 * width, 0)) ** 2).sum(axis=2))
@@ -63,81 +75,68 @@ def find_contacts(rest: Array, photos: Array, masked: NDArray[np.bool_] | None) 
     return found, sure
 
 
-def gather(
-    no_contact: Array, photos: Array, presses: Array, mm_per_px: float, reach_mm: Array, masked: NDArray[np.bool_] | None,
-    *, stride: int, degree: int, size: tuple[float, float], correction: tuple[Array, Array] | None = None,
-) -> Data:  # fmt: skip
-    """The pixels that are fitted: of each photograph those near its dent, of all photographs together the rest.
+def rest_picture(no_contact: Array, photos: Array, contacts: Array, felt: float) -> Array:
+    """The picture without contact, shape (H, W, 3): of each pixel the median of the photographs whose dents are farther from it than `felt`
+    times their radius, where there are enough of them; a sensor drifts between its no-contact photograph and the others."""
+    if len(photos) < OUTVOTED:
+        return no_contact
+    rows, columns = np.mgrid[: no_contact.shape[0], : no_contact.shape[1]] + 0.5
+    stack = np.concatenate([no_contact[None], photos])
+    for picture, (column, row, radius) in zip(stack[1:], contacts, strict=True):
+        picture[np.hypot(columns - column, rows - row) <= felt * radius] = np.nan
+    return np.nanmedian(stack, axis=0)
+
+
+def gather(photos: Array, contacts: Array, reach: Array, rest: model.Rest, *, stride: int, correction: Array | None = None) -> Data:
+    """The pixels that are fitted: of each photograph those near its dent. Far ones are the rest, whatever the sensor.
 
     Args:
-        presses: x, y [mm] of each press; `reach_mm` how far from it its dent is felt, shape (P,).
-        masked: Pixels that do not count, of the no-contact picture, then of each photograph, shape (1 + P, H, W).
+        contacts: Column and row of each dent's middle [px]; `reach` how far from it its dent is felt [px], shape (P,).
         stride: Every so many pixels along both axes.
-        size: Width and height of the field [px], which the pictures may not quite fill.
-        correction: What the renderer adds to the model, of the rest picture (H, W, 3) and of each photograph (P, H, W, 3) [levels].
+        correction: What the renderer adds to the model, of each photograph (P, H, W, 3) [levels].
     """
-    height, width = no_contact.shape[:2]
+    height, width = photos.shape[1:3]
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     rows, columns = rows.ravel(), columns.ravel()
-    place = np.column_stack([columns + 0.5 - size[0] / 2, rows + 0.5 - size[1] / 2])
-    far = np.array([np.hypot(*(place * mm_per_px - press[:2]).T) > reach for press, reach in zip(presses, reach_mm, strict=True)])
-    far = far.reshape(len(presses), len(place))
-    valid = np.ones((1 + len(photos), len(place)), bool) if masked is None else ~masked[:, rows, columns]
-    # The rest picture from the pixels that no dent touches: each photograph counts once.
-    stack = np.concatenate([no_contact[None, rows, columns], np.where(far[..., None], photos[:, rows, columns], np.nan)])
-    stack = np.where(valid[..., None], stack, np.nan)
-    counts = np.isfinite(stack[..., 0]).sum(axis=0)
-    level = [np.nan_to_num(np.nanmedian(np.where(counts[:, None] > 0, stack, 0.0), axis=0))]
-    weight = [np.repeat(counts[:, None].astype(float), 3, axis=1)]
-    places, press_of = [place], [np.full(len(place), -1)]
-    blocks = [(rows // (BLOCK * stride)) * 1000 + columns // (BLOCK * stride)]
-    added = [correction[0][rows, columns] if correction else np.zeros((len(place), 3))]
-    for index in range(len(presses)):
-        near = np.flatnonzero(~far[index])
-        places.append(place[near])
-        press_of.append(np.full(len(near), index))
-        level.append(photos[index, rows[near], columns[near]])
-        weight.append(np.repeat(valid[1 + index, near, None].astype(float), 3, axis=1))
-        blocks.append(blocks[0][near] + 10**6 * (index + 1))
-        added.append(correction[1][index, rows[near], columns[near]] if correction else np.zeros((len(near), 3)))
-    _, block = np.unique(np.concatenate(blocks), return_inverse=True)
-    pixels = model.Pixels(np.concatenate(places), np.concatenate(press_of))
-    return Data(pixels, np.concatenate(level), np.concatenate(weight), block, _basis(pixels.place, size, degree), np.concatenate(added))
+    press, pixel = np.nonzero(np.hypot(columns + 0.5 - contacts[:, :1], rows + 0.5 - contacts[:, 1:2]) <= reach[:, None])
+    row, column = rows[pixel], columns[pixel]
+    block = (row // (BLOCK * stride)) * 1000 + column // (BLOCK * stride) + 10**6 * press
+    place = np.column_stack([column + 0.5 - width / 2, row + 0.5 - height / 2])
+    level = photos[press, row, column]
+    added = correction[press, row, column] if correction is not None else np.zeros_like(level)
+    return Data(model.Pixels(place, press), level, np.ones_like(level), np.unique(block, return_inverse=True)[1], rest, added)
 
 
-def _basis(place: Array, size: tuple[float, float], degree: int) -> Array:
-    return shading_basis(2 * place[:, 0] / size[0], 2 * place[:, 1] / size[1], degree)
+def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, ball_mm: float, contacts: Array, reach: Array, drawn: Array) -> tuple:
+    """The model's levels of each press, shape (P, H, W, 3): at the pixels' middles, as the fit has them, and as means over the pixels.
 
+    Within `reach` [px], shape (P,), of the dents' middles `contacts` (P, 2); elsewhere both are `drawn`.
+    """
+    height, width = drawn.shape[1:3]
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    near = np.hypot(columns - contacts[:, 0, None, None], rows - contacts[:, 1, None, None]) <= reach[:, None, None]
+    press, row, column = np.nonzero(near)
+    place = np.column_stack([column + 0.5 - width / 2, row + 0.5 - height / 2])
+    nothing = np.zeros((len(place), 3))
 
-def whole_pictures(fitted: Fitted, degree: int, dents: Dents, ball_mm: float, shape: tuple[int, int], reach: Array) -> tuple[Array, Array]:
-    """The model's levels of the picture without contact and of each press, shape (1 + P, H, W, 3): at the pixels' middles, as the fit has
-    them, and as means over the pixels. The two differ only at a dent: within `reach` [px], shape (P,), of its middle."""
-    height, width = shape
-    rows, columns = np.mgrid[:height, :width]
-    place = np.column_stack([columns.ravel() + 0.5 - width / 2, rows.ravel() + 0.5 - height / 2])
-    count = len(fitted.presses)
-
-    def level(places: Array, press: NDArray[np.int64]) -> Array:
-        nothing = np.zeros((len(places), 3))
-        basis = _basis(places, (width, height), degree)
-        data = Data(model.Pixels(places, press), nothing, nothing, np.zeros(len(places), np.int64), basis, nothing)
+    def level(shift: Array) -> Array:
+        data = Data(model.Pixels(place + shift, press), nothing, nothing, press, rest, nothing)
         return Evaluation(fitted.parameters, fitted.presses, data, dents, ball_mm).level
 
-    middles = level(np.tile(place, (count + 1, 1)), np.repeat(np.arange(-1, count), len(place))).reshape(count + 1, len(place), 3)
-    at = fitted.presses[:, :2] / fitted.parameters.globals[0]
-    press, pixel = np.nonzero(np.hypot(*(place - at[:, None]).transpose(2, 0, 1)) <= reach[:, None])
-    means = middles.copy()
+    middles, means = drawn.copy(), drawn.copy()
+    middles[press, row, column] = level(np.zeros(2))
     corners = SUBPIXEL * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    means[1 + press, pixel] = np.mean([level(place[pixel] + corner, press) for corner in corners], axis=0)
-    return middles.reshape(count + 1, height, width, 3), means.reshape(count + 1, height, width, 3)
+    means[press, row, column] = np.mean([level(corner) for corner in corners], axis=0)
+    return middles, means
 
 
-def candidates(half_field_mm: float) -> Array:
-    """Lights around the sensor, facing its middle, shape (C, 7) as `Parameters.geometry`."""
+def candidates(half_field_mm: float, thickness_mm: float) -> Array:
+    """Lights around the sensor and below its gel, facing its middle, shape (C, 7) as `Parameters.geometry`."""
     lights = []
-    for distance in (1.4 * half_field_mm, 2.2 * half_field_mm):
-        for elevation in np.radians([10.0, 20.0, 32.0, 46.0]):
-            if distance * np.cos(elevation) < 1.1 * half_field_mm:
+    for distance in half_field_mm * np.array([0.7, 1.05, 1.5, 2.2]):
+        for elevation in np.radians([5.0, 12.0, 22.0, 35.0, 50.0]):
+            below = distance * np.cos(elevation) < OUT_OF_VIEW * half_field_mm
+            if below and distance * np.sin(elevation) < thickness_mm + CLEAR_MM:
                 continue
             for azimuth in np.arange(24) * (2 * np.pi / 24):
                 across, down = distance * np.cos(elevation), distance * np.sin(elevation)
@@ -146,17 +145,19 @@ def candidates(half_field_mm: float) -> Array:
 
 
 def choose_lights(seed: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float) -> Parameters:
-    """`seed` with the lights that explain the pictures best; its veil is kept and coloured anew."""
+    """`seed` with the lights that explain best what the presses change; its veil is kept and coloured anew."""
     from scipy.optimize import nnls
 
-    places = candidates(seed.half_field_mm)
+    places = candidates(seed.half_field_mm, seed.globals[3])
     trial = replace(seed, geometry=places, colours=np.zeros((len(places) + 1, 3)))
-    maps = np.array(Evaluation(trial, presses, data, dents, ball_mm).maps).T
+    here = Evaluation(trial, presses, data, dents, ball_mm)
+    maps = np.array(here.changes).T
     gamma = seed.globals[6]
-    target = model.untone(data.level, gamma)
-    steep = model.tone(np.clip(target, 1e-4, 1), gamma)[1]
-    # The rest picture does not outweigh the dents here.
-    weight = np.minimum(data.weight, 1.0) * np.minimum(steep, 3000.0) ** 2 * (data.level < 250)
+    seen = model.untone(data.level, gamma)
+    target = seen - here.paint * here.even
+    steep = model.tone(np.clip(seen, 1e-4, 1), gamma)[1]
+    # Of dots, whose place is not found yet, nothing is asked.
+    weight = np.minimum(steep, 3000.0) ** 2 * (data.level < 250) * (here.paint > UNPAINTED)
     grams = np.array([maps.T @ (maps * weight[:, c : c + 1]) for c in range(3)])
     sides = np.array([maps.T @ (weight[:, c] * target[:, c]) for c in range(3)])
     squares = [(weight[:, c] * target[:, c] ** 2).sum() for c in range(3)]

@@ -38,6 +38,14 @@ def rest_membrane(scene: Scene) -> Membrane:
     return grid.membrane(np.zeros((len(grid.places), 3)), _at_rest(scene.gel, centres))
 
 
+def unmoved(scene: Scene, membrane: Membrane) -> Membrane:
+    """The membrane as it was before it moved: its own material points, at rest."""
+    columns = int(np.argmax(membrane.uv[:, 1] != membrane.uv[0, 1]))
+    positions = _at_rest(scene.gel, (membrane.uv - 0.5) * np.array(scene.gel.size_mm) * 1e-3)
+    centres = _at_rest(scene.gel, marker_layout(scene).centres)
+    return Membrane(positions, _normals(positions, columns), membrane.uv, membrane.faces, centres)
+
+
 def moved_membrane(scene: Scene, displacement: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Membrane:
     """The coated surface under a displacement field known by other means than a press.
 
@@ -103,20 +111,21 @@ class _Grid:
     def membrane(self, displacement: NDArray[np.floating], markers: NDArray[np.float64]) -> Membrane:
         """With vertices moved by `displacement` (M, 3) [m], and markers at (K, 3) [m]."""
         positions = self._rest + displacement
-        return Membrane(positions, self._normals(positions), self._uv, self._faces, markers)
+        return Membrane(positions, _normals(positions, self._columns), self._uv, self._faces, markers)
 
-    def _normals(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit normals (M, 3): cross products of differences by grid index, which have their direction whatever the spacing."""
-        surface = np.ascontiguousarray(positions.T).reshape(3, -1, self._columns)
-        along_column = _differences(surface, 1)
-        normals = np.empty_like(positions)
-        for first in range(0, surface.shape[1], STRIP):
-            rows = slice(first, first + STRIP)
-            down, right = along_column[:, rows], _differences(surface[:, rows], 2)
-            normal = np.stack([right[i] * down[j] - right[j] * down[i] for i, j in ((1, 2), (2, 0), (0, 1))])
-            normal /= np.sqrt((normal**2).sum(axis=0))
-            normals.reshape(-1, self._columns, 3)[rows] = normal.transpose(1, 2, 0)
-        return normals
+
+def _normals(positions: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
+    """Unit normals (M, 3): cross products of differences by grid index, which have their direction whatever the spacing."""
+    surface = np.ascontiguousarray(positions.T).reshape(3, -1, columns)
+    along_column = _differences(surface, 1)
+    normals = np.empty_like(positions)
+    for first in range(0, surface.shape[1], STRIP):
+        rows = slice(first, first + STRIP)
+        down, right = along_column[:, rows], _differences(surface[:, rows], 2)
+        normal = np.stack([right[i] * down[j] - right[j] * down[i] for i, j in ((1, 2), (2, 0), (0, 1))])
+        normal /= np.sqrt((normal**2).sum(axis=0))
+        normals.reshape(-1, columns, 3)[rows] = normal.transpose(1, 2, 0)
+    return normals
 
 
 def _at_rest(gel: Gel, places: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -224,6 +224,25 @@ def _aligned(values: np.ndarray) -> np.ndarray:
 Arrays = NumPyArrays | DrJitArrays
 
 
+def clipped(ar: Arrays, a: Values, low: float, high: float) -> Values:
+    return ar.minimum(ar.maximum(a, low), high)
+
+
+def grid_corners(ar: Arrays, u: Values, v: Values, columns: int, rows: int, offset: Values) -> list[tuple[Values, Values]]:
+    """Index and weight of the four nodes about place (u, v) of a grid, clamped to its rim."""
+    u, v = clipped(ar, u, 0.0, columns - 1.0), clipped(ar, v, 0.0, rows - 1.0)
+    i, j = ar.whole(clipped(ar, u, 0.0, columns - 2.0)), ar.whole(clipped(ar, v, 0.0, rows - 2.0))
+    s, r = u - ar.real(i), v - ar.real(j)
+    first = offset + j * columns + i
+    return [(first, (1 - s) * (1 - r)), (first + 1, s * (1 - r)), (first + columns, (1 - s) * r), (first + (columns + 1), s * r)]
+
+
+def mixed(ar: Arrays, source: Values, corners: list[tuple[Values, Values]], width: int) -> list[Values]:
+    """Weighted packets."""
+    packets = [(ar.packet(source, index, width), weight) for index, weight in corners]
+    return [sum((p[i] * weight for p, weight in packets[1:]), packets[0][0][i] * packets[0][1]) for i in range(width)]
+
+
 def choose_arrays(variant: VariantChoice) -> Arrays:
     """What suits a Mitsuba variant: its own backend, for which it is selected, or NumPy beside a scalar one."""
     backend = variant.name.split("_")[0]

@@ -29,11 +29,12 @@ from numpy.typing import NDArray
 
 from gelsim.data.lightfield import PACKET, LightField
 from gelsim.errors import RenderError
+from gelsim.membrane.surface import unmoved
 from gelsim.optics.arrays import Arrays, Values, aligned_room, choose_arrays
 from gelsim.optics.baked_kernels import DIRECTIONS, LINES, PIECES, STEPS, Layout, coarse_size, draw
-from gelsim.optics.camera import gel_ray, make_lens, pixel_size
+from gelsim.optics.camera import gel_ray, make_lens, pixel_size, project
 from gelsim.optics.coating import TEXEL, grain_pattern, marker_coverage
-from gelsim.optics.isp import Pipeline, as_picture, camera_pipeline, frame_keys
+from gelsim.optics.isp import Pipeline, as_picture, camera_pipeline, frame_keys, rest_on
 from gelsim.optics.lighting import light_pose
 from gelsim.optics.variant import VariantChoice
 from gelsim.results import Membrane
@@ -115,17 +116,7 @@ class BakedRenderer:
         if self._layout is None:
             self._prepare(membranes[0])
         assert self._layout is not None
-        nodes = self._layout.columns * self._layout.rows
-        places = aligned_room(len(membranes) * nodes * 4).reshape(-1, nodes, 4)
-        normals = aligned_room(len(membranes) * nodes * 2).reshape(-1, nodes, 2)
-        places[..., 3] = 0.0
-        for n, membrane in enumerate(membranes):
-            # By column: NumPy is slow at three numbers at a time.
-            for axis in range(3):
-                np.multiply(membrane.positions[:, axis], MM_PER_M, out=places[n, :, axis], casting="unsafe")
-            for axis in range(2):
-                normals[n, :, axis] = membrane.normals[:, axis]
-        return self._arrays.floats(places), self._arrays.floats(normals)
+        return surface_arrays(self._arrays, membranes)
 
     def launch(self, uploaded: tuple[Values, Values], keys: Values | None = None) -> tuple[Values, Values | None]:
         """Red, green, blue and z [m] of every pixel of every frame, one after the other, on the device; with `keys` 8-bit pictures too."""
@@ -146,10 +137,16 @@ class BakedRenderer:
             self._layout = replace(like._layout, texels=texels, marked=self._scene.markers.layout != "none", pipeline=pipeline)
             self._draw = like._draw if self._layout == like._layout else self._compiled()
         else:
-            self._prepare_sensor(_material_grid(membrane), texels, pipeline)
+            self._prepare_sensor(material_grid(membrane), texels, pipeline)
             self._tables |= own
             self._draw = self._compiled()
         self._like = None
+        if self._scene.camera.rest is not None:
+            width, height = self._scene.render.resolution
+            rest = unmoved(self._scene, membrane)
+            still = self._arrays.numpy(self.launch(self.upload([rest]))[0]).reshape(height, width, 4)[..., :3]
+            self._tables |= rest_on(self._scene, self._arrays, still)
+            self._tables["rest_nodes"] = put(project(self._scene, rest.positions))
 
     def _compiled(self) -> Any:
         arrays, layout = self._arrays, self._layout
@@ -204,7 +201,22 @@ class BakedRenderer:
         )
 
 
-def _material_grid(membrane: Membrane) -> tuple[int, int]:
+def surface_arrays(arrays: Arrays, membranes: Sequence[Membrane]) -> tuple[Values, Values]:
+    """Places [mm] and normals of membranes' vertices on the backend, in fours and in pairs."""
+    nodes = len(membranes[0].positions)
+    places = aligned_room(len(membranes) * nodes * 4).reshape(-1, nodes, 4)
+    normals = aligned_room(len(membranes) * nodes * 2).reshape(-1, nodes, 2)
+    places[..., 3] = 0.0
+    for n, membrane in enumerate(membranes):
+        # By column: NumPy is slow at three numbers at a time.
+        for axis in range(3):
+            np.multiply(membrane.positions[:, axis], MM_PER_M, out=places[n, :, axis], casting="unsafe")
+        for axis in range(2):
+            normals[n, :, axis] = membrane.normals[:, axis]
+    return arrays.floats(places), arrays.floats(normals)
+
+
+def material_grid(membrane: Membrane) -> tuple[int, int]:
     """Columns and rows of a membrane whose vertices are a regular grid of material points, row by row."""
     u, v = membrane.uv[:, 0], membrane.uv[:, 1]
     columns = int(np.argmax(v != v[0])) or len(v)
@@ -252,7 +264,7 @@ def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:
 
     One texel, and (0, 0), where the coat is the same everywhere.
     """
-    if scene.markers.layout == "none" and scene.coating.grain == 0:
+    if scene.camera.rest is not None or (scene.markers.layout == "none" and scene.coating.grain == 0):
         return np.array([[[1.0, 0.0]]], np.float32), (0, 0)
     coverage, grain = marker_coverage(scene), grain_pattern(scene)
     for axis in (0, 1):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gelsim.data.lightfield import PACKET
-from gelsim.optics.arrays import Arrays, Values
+from gelsim.optics.arrays import Arrays, Values, clipped, grid_corners, mixed
 from gelsim.optics.isp import Pipeline, develop_pixels, packed_bytes
 
 PIECES = 3
@@ -24,7 +24,7 @@ REACHES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33)
 """Of the samples along a direction of inter-reflection [cells]: near parts fill most of the view."""
 FAR = 1e6
 """Of a horizon that nothing makes."""
-NEWTON_STEPS = 4
+MEET_STEPS = 4
 """From the rest position, at starts; then one more at each pixel. Quadratic: four reach 0.01 pixel from a cell's edge."""
 
 
@@ -66,8 +66,17 @@ def coarse_size(width: int, height: int, shade: int) -> tuple[int, int]:
     return -(-width // shade), -(-height // shade)
 
 
+@dataclass(frozen=True)
+class MaterialGrid:
+    """Of a membrane: columns and rows of its vertices, and the gel's size [mm]."""
+
+    columns: int
+    rows: int
+    size: list[float]
+
+
 @dataclass
-class _Seen:
+class Seen:
     """Of the membrane, by ray: lengths in mm."""
 
     column: Values
@@ -90,7 +99,7 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     horizons = arriving = None
     cells = st.cells[0] * st.cells[1]
     frame, cell = _lanes(ar, frames, cells)
-    below = _meet(ar, st, places, normals, frame, ar.packet(t["plumb"], cell, 4), None, NEWTON_STEPS)
+    below = meet(ar, st, places, normals, frame, ar.packet(t["plumb"], cell, 4), None, MEET_STEPS)
     if st.samples:
         horizons = _horizons(ar, st, t, _fine_heights(ar, st, t, places, normals, below, frames), frames)
     if st.indirect:
@@ -106,7 +115,7 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     # At every few pixels: the start of Newton's method, and shadows.
     across, down = coarse_size(st.width, st.height, st.shade)
     frame, pixel = _lanes(ar, frames, across * down)
-    coarse = _meet(ar, st, places, normals, frame, ar.packet(t["coarse"], pixel, 4), None, NEWTON_STEPS)
+    coarse = meet(ar, st, places, normals, frame, ar.packet(t["coarse"], pixel, 4), None, MEET_STEPS)
     starts = ar.interleave([coarse.column, coarse.row])
     shades = _visible(ar, st, t, horizons, frames, across * down, coarse) if horizons is not None else None
 
@@ -114,34 +123,34 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     row = pixel // st.width
     column = pixel - row * st.width
     shift = 0.5 / st.shade - 0.5
-    corners = _corners(
+    corners = grid_corners(
         ar, ar.real(column) * (1 / st.shade) + shift, ar.real(row) * (1 / st.shade) + shift, across, down, frame * (across * down)
     )
-    start = _mix(ar, starts, corners, 2)
-    seen = _meet(ar, st, places, normals, frame, ar.packet(t["full"], pixel, 4), (start[0], start[1]), 1)
+    start = mixed(ar, starts, corners, 2)
+    seen = meet(ar, st, places, normals, frame, ar.packet(t["full"], pixel, 4), (start[0], start[1]), 1)
     lit = _local(ar, st, t, seen)
     if shades is not None:
         slots = _light_slots(st.samples // PIECES) // PACKET
         visible = []
         for g in range(slots):
-            visible += _mix(ar, shades, [(index * slots + g, weight) for index, weight in corners], PACKET)
+            visible += mixed(ar, shades, [(index * slots + g, weight) for index, weight in corners], PACKET)
         lit = _shadowed(st, lit, visible)
     colour = _coloured(ar, t, lit)
     if arriving is not None:
         u = (seen.x * (1 / st.size[0]) + 0.5) * float(st.cells[0] - 1)
         v = (seen.y * (1 / st.size[1]) + 0.5) * float(st.cells[1] - 1)
         first_column, first_row, columns, rows = st.viewed
-        more = _mix(ar, arriving, _corners(ar, u - first_column, v - first_row, columns, rows, frame * (columns * rows)), 4)
+        more = mixed(ar, arriving, grid_corners(ar, u - first_column, v - first_row, columns, rows, frame * (columns * rows)), 4)
         colour = [colour[i] + more[i] for i in range(3)]
     if st.texels[0]:
         columns, rows = st.texels
         u = seen.column * (columns / (st.columns - 1)) - 0.5
         v = seen.row * (rows / (st.rows - 1)) - 0.5
-        coat = _mix(ar, t["texture"], _corners(ar, u, v, columns, rows, frame * 0), 2)
+        coat = mixed(ar, t["texture"], grid_corners(ar, u, v, columns, rows, frame * 0), 2)
         share = coat[0]
         if st.marked:
             size = st.field_shape[4]
-            paint = _mix_values(ar, t["paint"], _corners(ar, *_normal_place(st, seen), size, size, frame * 0))
+            paint = _mix_values(ar, t["paint"], grid_corners(ar, *_normal_place(st, seen), size, size, frame * 0))
             share = share + coat[1] * paint
         colour = [a * share for a in colour]
     nothing = seen.missed
@@ -149,7 +158,8 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     pixels = ar.interleave([*colour, ar.select(nothing, float("nan"), seen.z * 1e-3)])
     if keys is None:
         return pixels, None
-    return pixels, packed_bytes(ar, develop_pixels(ar, st.pipeline, t, colour, pixel, frame, keys))
+    came = place_at_rest(ar, st, t["rest_nodes"], seen, column, row) if st.pipeline.rest[0] else None
+    return pixels, packed_bytes(ar, develop_pixels(ar, st.pipeline, t, colour, pixel, frame, keys, came))
 
 
 def _lanes(ar: Arrays, frames: int, each: int) -> tuple[Values, Values]:
@@ -159,30 +169,11 @@ def _lanes(ar: Arrays, frames: int, each: int) -> tuple[Values, Values]:
     return frame, lane - frame * each
 
 
-def _clip(ar: Arrays, a: Values, low: float, high: float) -> Values:
-    return ar.minimum(ar.maximum(a, low), high)
-
-
-def _corners(ar: Arrays, u: Values, v: Values, columns: int, rows: int, offset: Values) -> list[tuple[Values, Values]]:
-    """Index and weight of the four nodes about place (u, v) of a grid, clamped to its rim."""
-    u, v = _clip(ar, u, 0.0, columns - 1.0), _clip(ar, v, 0.0, rows - 1.0)
-    i, j = ar.whole(_clip(ar, u, 0.0, columns - 2.0)), ar.whole(_clip(ar, v, 0.0, rows - 2.0))
-    s, r = u - ar.real(i), v - ar.real(j)
-    first = offset + j * columns + i
-    return [(first, (1 - s) * (1 - r)), (first + 1, s * (1 - r)), (first + columns, (1 - s) * r), (first + (columns + 1), s * r)]
-
-
-def _mix(ar: Arrays, source: Values, corners: list[tuple[Values, Values]], width: int) -> list[Values]:
-    """Weighted packets."""
-    packets = [(ar.packet(source, index, width), weight) for index, weight in corners]
-    return [sum((p[i] * weight for p, weight in packets[1:]), packets[0][0][i] * packets[0][1]) for i in range(width)]
-
-
 def _mix_values(ar: Arrays, source: Values, corners: list[tuple[Values, Values]]) -> Values:
     return sum(ar.gather(source, index) * weight for index, weight in corners)
 
 
-def _meet(ar: Arrays, st: Layout, places: Values, normals: Values, frame: Values, ray: Any, start: Any, steps: int) -> _Seen:
+def meet(ar: Arrays, st: Layout | MaterialGrid, places: Values, normals: Values, frame: Values, ray: Any, start: Any, steps: int) -> Seen:
     """Where rays meet the membrane; `start` a place in the material grid, or None for the place that lies there at rest."""
     columns, rows = st.columns, st.rows
     offset = frame * (columns * rows)
@@ -192,8 +183,8 @@ def _meet(ar: Arrays, st: Layout, places: Values, normals: Values, frame: Values
     (u, v), z = start, ray[0]
     small = 0.02 / (per[0] * per[1])
     for _ in range(steps):
-        i = ar.whole(_clip(ar, u, 0.0, columns - 2.0))
-        j = ar.whole(_clip(ar, v, 0.0, rows - 2.0))
+        i = ar.whole(clipped(ar, u, 0.0, columns - 2.0))
+        j = ar.whole(clipped(ar, v, 0.0, rows - 2.0))
         s, r = u - ar.real(i), v - ar.real(j)
         first = offset + j * columns + i
         p00, p10 = ar.packet(places, first, 4), ar.packet(places, first + 1, 4)
@@ -212,20 +203,30 @@ def _meet(ar: Arrays, st: Layout, places: Values, normals: Values, frame: Values
         det = a * d - b * e
         # A fold has no inverse there; a bounded step leads past it.
         inverse = 1.0 / ar.maximum(det, small)
-        go = _clip(ar, (b * fy - d * fx) * inverse, -4.0, 4.0), _clip(ar, (e * fx - a * fy) * inverse, -4.0, 4.0)
+        go = clipped(ar, (b * fy - d * fx) * inverse, -4.0, 4.0), clipped(ar, (e * fx - a * fy) * inverse, -4.0, 4.0)
         u, v = u + go[0], v + go[1]
         z = point[2] + go[0] * du[2] + go[1] * dv[2]
     # Beyond the rim the outermost patch was continued: there is no gel.
     edge = 0.5
     missed = (u < -edge) | (v < -edge) | (u > columns - 1 + edge) | (v > rows - 1 + edge)
-    nx, ny = _mix(ar, normals, _corners(ar, u, v, columns, rows, offset), 2)
+    nx, ny = mixed(ar, normals, grid_corners(ar, u, v, columns, rows, offset), 2)
     flat = nx * nx + ny * ny
     # Longer than 1 only where the patch was continued beyond the rim.
     nz = ar.sqrt(ar.maximum(1.0 - flat, 1e-3))
-    return _Seen(u, v, ray[0] + ray[2] * z, ray[1] + ray[3] * z, z, nx, ny, nz, missed)
+    return Seen(u, v, ray[0] + ray[2] * z, ray[1] + ray[3] * z, z, nx, ny, nz, missed)
 
 
-def _normal_place(st: Layout, seen: _Seen) -> tuple[Values, Values]:
+def place_at_rest(ar: Arrays, st: Layout | MaterialGrid, nodes: Values, seen: Seen, column: Values, row: Values) -> list[Values]:
+    """Where in the picture at rest [px] the coat appeared that is seen now; a pixel (column, row) that sees no gel stays where it is.
+
+    Args:
+        nodes: Where the material grid's nodes appear at rest, in pairs.
+    """
+    came = mixed(ar, nodes, grid_corners(ar, seen.column, seen.row, st.columns, st.rows, ar.whole(seen.column * 0.0)), 2)
+    return [ar.select(seen.missed, ar.real(own) + 0.5, place) for own, place in zip((column, row), came, strict=True)]
+
+
+def _normal_place(st: Layout, seen: Seen) -> tuple[Values, Values]:
     scale = (st.field_shape[4] - 1) / 2
     return (seen.nx * (1 / st.normals) + 1.0) * scale, (seen.ny * (1 / st.normals) + 1.0) * scale
 
@@ -237,10 +238,10 @@ def _place(st: Layout, x: Values, y: Values) -> tuple[Values, Values]:
     return (x - x0) * ((columns - 1) / (x1 - x0)), (y - y0) * ((rows - 1) / (y1 - y0))
 
 
-def _local(ar: Arrays, st: Layout, t: dict[str, Any], seen: _Seen) -> list[Values]:
+def _local(ar: Arrays, st: Layout, t: dict[str, Any], seen: Seen) -> list[Values]:
     """a_k of the table, in fours."""
     _, rows, columns, size, _, components = st.field_shape
-    w = _clip(ar, (seen.z - st.heights[0]) * (1 / (st.heights[1] - st.heights[0])), -1.0, 2.0)
+    w = clipped(ar, (seen.z - st.heights[0]) * (1 / (st.heights[1] - st.heights[0])), -1.0, 2.0)
     groups = components // PACKET
     total: list[Any] = [0.0] * components
     # The simplex of five nodes that holds the place, not all sixteen about it: corners in the order in which the diagonal passes them.
@@ -249,8 +250,8 @@ def _local(ar: Arrays, st: Layout, t: dict[str, Any], seen: _Seen) -> list[Value
     for place, count, stride in zip(
         (*_normal_place(st, seen), *_place(st, seen.x, seen.y)), (size, size, columns, rows), strides, strict=True
     ):
-        place = _clip(ar, place, 0.0, count - 1.0)
-        first = ar.whole(_clip(ar, place, 0.0, count - 2.0))
+        place = clipped(ar, place, 0.0, count - 1.0)
+        first = ar.whole(clipped(ar, place, 0.0, count - 2.0))
         at = at + first * stride
         order.append((place - ar.real(first), ar.whole(place * 0.0) + stride))
     for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):
@@ -279,7 +280,7 @@ def _coloured(ar: Arrays, t: dict[str, Any], lit: list[Values]) -> list[Values]:
     return [sum(a * t["colours"][3 * k + i] for k, a in enumerate(lit)) for i in range(3)]
 
 
-def _fine_heights(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Values, below: _Seen, frames: int) -> Values:
+def _fine_heights(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Values, below: Seen, frames: int) -> Values:
     """Heights that cast shadows, on their own grid: one step of Newton's method from what is below the coarser one (95 dB from six)."""
     across, down = st.fine
     frame, cell = _lanes(ar, frames, across * down)
@@ -287,8 +288,8 @@ def _fine_heights(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, nor
     u = ar.real(cell - row * across) * ((st.cells[0] - 1) / (across - 1))
     v = ar.real(row) * ((st.cells[1] - 1) / (down - 1))
     starts = ar.interleave([below.column, below.row])
-    start = _mix(ar, starts, _corners(ar, u, v, *st.cells, frame * (st.cells[0] * st.cells[1])), 2)
-    return ar.stored(_meet(ar, st, places, normals, frame, ar.packet(t["fine"], cell, 4), (start[0], start[1]), 1).z)
+    start = mixed(ar, starts, grid_corners(ar, u, v, *st.cells, frame * (st.cells[0] * st.cells[1])), 2)
+    return ar.stored(meet(ar, st, places, normals, frame, ar.packet(t["fine"], cell, 4), (start[0], start[1]), 1).z)
 
 
 def _horizons(ar: Arrays, st: Layout, t: dict[str, Any], heights: Values, frames: int) -> Values:
@@ -299,20 +300,20 @@ def _horizons(ar: Arrays, st: Layout, t: dict[str, Any], heights: Values, frames
     line = lane - step * (frames * lines)
     frame = line // lines
     at = ar.packet(t["polar"], step * lines + (line - frame * lines), 4)
-    z = _mix_values(ar, heights, _corners(ar, at[0], at[1], *st.fine, frame * (st.fine[0] * st.fine[1])))
+    z = _mix_values(ar, heights, grid_corners(ar, at[0], at[1], *st.fine, frame * (st.fine[0] * st.fine[1])))
     return ar.running_minimum(ar.select(at[0] < -1.0, FAR, (z - at[2]) * at[3]), at[3], frames * lines, STEPS)
 
 
 def _line_corners(ar: Arrays, along: Values, line: Values, stride: int, offset: Values) -> list[tuple[Values, Values]]:
-    """As `_corners`, in what `_horizons` gave: `stride` apart along a line."""
-    u, v = _clip(ar, along, 0.0, STEPS - 1.0), _clip(ar, line, 0.0, LINES - 1.0)
-    i, j = ar.whole(_clip(ar, u, 0.0, STEPS - 2.0)), ar.whole(_clip(ar, v, 0.0, LINES - 2.0))
+    """As `grid_corners`, in what `_horizons` gave: `stride` apart along a line."""
+    u, v = clipped(ar, along, 0.0, STEPS - 1.0), clipped(ar, line, 0.0, LINES - 1.0)
+    i, j = ar.whole(clipped(ar, u, 0.0, STEPS - 2.0)), ar.whole(clipped(ar, v, 0.0, LINES - 2.0))
     s, r = u - ar.real(i), v - ar.real(j)
     first = i * stride + j + offset
     return [(first, (1 - s) * (1 - r)), (first + stride, s * (1 - r)), (first + 1, (1 - s) * r), (first + (stride + 1), s * r)]
 
 
-def _visible(ar: Arrays, st: Layout, t: dict[str, Any], horizons: Values, frames: int, each: int, seen: _Seen) -> Values:
+def _visible(ar: Arrays, st: Layout, t: dict[str, Any], horizons: Values, frames: int, each: int, seen: Seen) -> Values:
     """The visible share of each light, of what the tangent plane leaves of it; whole packets of lights for each of frames * each places."""
     lines = st.samples * LINES
     lights = st.samples // PIECES
@@ -338,7 +339,7 @@ def _visible(ar: Arrays, st: Layout, t: dict[str, Any], horizons: Values, frames
         # One step back: what is nearer than that is the tangent plane's.
         along = (distance - near) * per_step - 1.0
         corners = _line_corners(ar, along, (angle - first) * per_turn, frames * lines, frame * lines + sample * LINES)
-        lowest, where = _mix(ar, horizons, corners, 2)
+        lowest, where = mixed(ar, horizons, corners, 2)
         inverse = 1.0 / distance
         here = (pz - z) * inverse
         horizon = ar.select(lowest > 0.1 * FAR, FAR, z + (lowest - here) / ar.maximum(where - inverse, 1e-5))
@@ -357,7 +358,7 @@ def _light_slots(lights: int) -> int:
     return -(-lights // PACKET) * PACKET
 
 
-def _arriving(ar: Arrays, st: Layout, t: dict[str, Any], below: _Seen, colour: list[Values], frames: int) -> Values:
+def _arriving(ar: Arrays, st: Layout, t: dict[str, Any], below: Seen, colour: list[Values], frames: int) -> Values:
     """Radiance by channel that light from other parts of the membrane adds, where the camera sees; in fours, the fourth unused."""
     columns, rows = st.cells
     first_column, first_row, across, down = st.viewed
@@ -402,7 +403,7 @@ def _arriving(ar: Arrays, st: Layout, t: dict[str, Any], below: _Seen, colour: l
     x = (ar.real(spot - row * across + first_column) * (1 / (columns - 1)) - 0.5) * st.size[0]
     y = (ar.real(row + first_row) * (1 / (rows - 1)) - 0.5) * st.size[1]
     _, places_down, places_across, _, _, _ = st.field_shape
-    veil = _mix(ar, t["veil"], _corners(ar, *_place(st, x, y), places_across, places_down, zero), 4)
+    veil = mixed(ar, t["veil"], grid_corners(ar, *_place(st, x, y), places_across, places_down, zero), 4)
     scale = turn / np.pi
     added = [sum((p[i] for p in parts[1:]), parts[0][i]) * (t["gains"][i] * scale) + veil[i] for i in range(3)]
     return ar.interleave([*added, parts[0][3]])

@@ -4,7 +4,8 @@
 
 shading by `optics.shading`, N the electrons of a white pixel (shot noise; normal in place of Poisson: at N x = 100 electrons the skewness
 is 0.1), σ the read noise before the tone curve, s noise after it, as it is measured on finished pictures. Tone: sRGB after
-IEC 61966-2-1, or none. Clipped, rounded. The exposure is the preset's, never automatic, so that frames and presses can be compared.
+IEC 61966-2-1, or none. Clipped, rounded. The exposure is the preset's, never automatic, so that frames and presses can be compared. Of a
+sensor with a photograph of its rest, the first x_c is that of `optics.rest`.
 
 Written in `optics.arrays`: where the light was drawn the picture is developed too. Random numbers are a hash of pixel, frame and seed
 (pcg3d, Jarzynski and Olano 2020), so that they are the same in any order and on any backend; normal ones by Box and Muller. Left out:
@@ -19,8 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.optics.arrays import Arrays, NumPyArrays, Values
+from gelsim.errors import SceneError
+from gelsim.optics.arrays import Arrays, NumPyArrays, Values, grid_corners, mixed
 from gelsim.optics.camera import window_transmission
+from gelsim.optics.rest import rest_tables
 from gelsim.optics.shading import shading_gain
 from gelsim.scene.definition import Scene
 
@@ -41,6 +44,8 @@ class Pipeline:
     srgb: bool
     bent: bool
     """Whether there is an exponent on the curve."""
+    rest: tuple[int, int] = (0, 0)
+    """Columns and rows of a photograph of the rest."""
 
 
 def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDArray[np.uint8]:
@@ -51,7 +56,11 @@ def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDAr
         index: The frame's number in its press: noise differs from frame to frame, and is the same again for the same scene.seed.
     Returns:
         Shape (H, W, 3).
+    Raises:
+        SceneError: The sensor has a photograph of its rest, which only a membrane can move: `render_frames` does.
     """
+    if scene.camera.rest is not None:
+        raise SceneError(f"camera.rest = {scene.camera.rest!r}: radiance alone cannot be developed with it; give the sensor without")
     arrays = NumPyArrays()
     pipeline, tables = camera_pipeline(scene, arrays)
     colour = [np.ascontiguousarray(radiance[..., channel], np.float32).ravel() for channel in range(3)]
@@ -66,17 +75,27 @@ def camera_pipeline(scene: Scene, arrays: Arrays) -> tuple[Pipeline, dict[str, A
     "gain": by channel, or by channel and pixel. "camera": shot, read and late noise by channel, exponent.
     """
     camera = scene.camera
-    gain = shading_gain(scene) * (camera.exposure * np.array(camera.white_balance))
-    if camera.fresnel:
-        gain = gain * window_transmission(scene)[..., None]
+    gain = camera_gain(scene)
     electrons = np.array(camera.full_well)
     shot = np.divide(1.0, electrons, out=np.zeros(3), where=electrons > 0)
     numbers = np.concatenate([shot, np.square(camera.read_noise), camera.noise_sd, [camera.gamma]])
     early, late = any(camera.full_well) or any(camera.read_noise), any(camera.noise_sd)
     by_pixel = gain.shape[:2] != (1, 1)
-    pipeline = Pipeline(by_pixel, early, late, camera.tone == "srgb", camera.gamma != 1.0)
+    rest = scene.render.resolution if camera.rest is not None else (0, 0)
+    pipeline = Pipeline(by_pixel, early, late, camera.tone == "srgb", camera.gamma != 1.0, rest)
     gain = gain.reshape(-1, 3).T
     return pipeline, {"gain": arrays.floats(gain) if by_pixel else arrays.numbers(gain), "camera": arrays.numbers(numbers)}
+
+
+def camera_gain(scene: Scene) -> NDArray[np.float64]:
+    """Exposure, white balance, shading and what the window passes, of each pixel: shape (H, W, 3), or (1, 1, 3) where it is the same."""
+    gain = shading_gain(scene) * (scene.camera.exposure * np.array(scene.camera.white_balance))
+    return gain * window_transmission(scene)[..., None] if scene.camera.fresnel else gain
+
+
+def rest_on(scene: Scene, arrays: Arrays, still: NDArray[np.floating]) -> dict[str, Values]:
+    """The tables of `optics.rest` on the backend; `still`: the radiance of the membrane at rest, shape (H, W, 3)."""
+    return {name: arrays.floats(values) for name, values in rest_tables(scene, still * camera_gain(scene)).items()}
 
 
 def frame_keys(scene: Scene, indices: list[int]) -> NDArray[np.uint32]:
@@ -85,18 +104,25 @@ def frame_keys(scene: Scene, indices: list[int]) -> NDArray[np.uint32]:
 
 
 def develop_pixels(
-    ar: Arrays, pipeline: Pipeline, t: dict[str, Any], colour: list[Values], pixel: Values, frame: Values, keys: Values
-) -> Values:
+    ar: Arrays, pipeline: Pipeline, t: dict[str, Any], colour: list[Values], pixel: Values, frame: Values, keys: Values,
+    came: list[Values] | None = None,
+) -> Values:  # fmt: skip
     """8-bit red, green and blue in the low three bytes of a word, for every lane.
 
     Args:
         t: Of `camera_pipeline`.
         colour: Radiance by channel.
         pixel, frame: Number of the pixel in its frame, and of the frame in `keys` (words, of `frame_keys`).
+        came: Column and row [px] in the picture at rest of the coat that is seen, where there is a photograph of it.
     """
     number, gain = t["camera"], t["gain"]
     pixels = len(gain) // 3
     levels = [a * (ar.gather(gain, pixel + c * pixels) if pipeline.by_pixel else gain[c]) for c, a in enumerate(colour)]
+    if came is not None:
+        columns, rows = pipeline.rest
+        even = ar.packet(t["rest_even"], pixel, 4)
+        paint = mixed(ar, t["rest_paint"], grid_corners(ar, came[0] - 0.5, came[1] - 0.5, columns, rows, pixel * 0), 4)
+        levels = [paint[c] * (even[c] + a) for c, a in enumerate(levels)]
     if pipeline.early_noise:
         normal = _normals(ar, pixel, frame, keys, 0)
         levels = [a + ar.sqrt(ar.maximum(a, 0.0) * number[c] + number[3 + c]) * normal[c] for c, a in enumerate(levels)]
@@ -153,17 +179,20 @@ def srgb_tone(linear: NDArray[np.floating]) -> NDArray[np.floating]:
 class Developer:
     """`develop` on the backend that drew the picture, made ready once."""
 
-    def __init__(self, scene: Scene, arrays: Arrays) -> None:
+    def __init__(self, scene: Scene, arrays: Arrays, rest: dict[str, Values] | None = None) -> None:
+        """`rest`: Of `rest_on`, of a sensor with a photograph."""
         self._scene, self._arrays = scene, arrays
         pipeline, self._tables = camera_pipeline(scene, arrays)
+        self._tables |= rest or {}
 
-        def developed(tables: dict[str, Any], radiance: Values, keys: Values) -> Values:
+        def developed(tables: dict[str, Any], radiance: Values, keys: Values, came: Values | None) -> Values:
             pixel = arrays.range(len(radiance) // 3)
             colour = [arrays.gather(radiance, pixel * 3 + channel) for channel in range(3)]
-            return packed_bytes(arrays, develop_pixels(arrays, pipeline, tables, colour, pixel, pixel * 0, keys))
+            place = None if came is None else list(arrays.packet(came, pixel, 2))
+            return packed_bytes(arrays, develop_pixels(arrays, pipeline, tables, colour, pixel, pixel * 0, keys, place))
 
         self._developed: Any = arrays.compiled(developed)
 
-    def __call__(self, radiance: Values, index: int) -> Values:
-        """Of interleaved red, green and blue of all pixels; for `as_picture`."""
-        return self._developed(self._tables, radiance, self._arrays.words(frame_keys(self._scene, [index])))
+    def __call__(self, radiance: Values, index: int, came: Values | None = None) -> Values:
+        """Of interleaved red, green and blue of all pixels; for `as_picture`. `came`: of `RestPlaces`."""
+        return self._developed(self._tables, radiance, self._arrays.words(frame_keys(self._scene, [index])), came)

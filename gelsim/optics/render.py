@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.membrane.surface import unmoved
 from gelsim.optics.arrays import choose_arrays
 from gelsim.optics.camera import height_map
-from gelsim.optics.isp import Developer, as_picture, develop
+from gelsim.optics.isp import Developer, as_picture, rest_on
 from gelsim.optics.lighting import check_lights
+from gelsim.optics.rest_places import RestPlaces
 from gelsim.optics.scene_dict import mesh_arrays, path_count, scene_dict
 from gelsim.optics.tracer import Tracer
 from gelsim.optics.variant import VariantChoice, use_variant
@@ -43,8 +45,9 @@ class Renderer:
         else:
             self._scalar = None
             self._tracer = Tracer(mi, scene, scene.render.spp)
-            self._arrays = choose_arrays(variant)
-            self._developer = Developer(scene, self._arrays)
+        self._arrays = choose_arrays(variant)
+        self._developer: Developer | None = None
+        self._places: RestPlaces | None = None
 
     def radiance(self, membrane: Membrane, seed: int | None = None) -> NDArray[np.float32]:
         """Linear RGB of the membrane, shape (H, W, 3); `seed` other than the scene's gives an independent estimate."""
@@ -54,15 +57,29 @@ class Renderer:
         self._tracer.place(membrane)
         return np.array(self._tracer.picture(seed), np.float32)
 
+    def _prepare(self, membrane: Membrane) -> Developer:
+        """The image pipeline; of a sensor with a photograph of its rest, its light at rest has to be drawn for it."""
+        if self._developer is None:
+            rest = None
+            if self._scene.camera.rest is not None:
+                still = unmoved(self._scene, membrane)
+                rest = rest_on(self._scene, self._arrays, self.radiance(still))
+                self._places = RestPlaces(self._scene, self._arrays, still)
+            self._developer = Developer(self._scene, self._arrays, rest)
+        return self._developer
+
     def enqueue(self, membrane: Membrane, index: int = 0) -> tuple[Any, Any, Any]:
         """Starts drawing frame `index`, for `fetch`; only scalar variants wait."""
+        developer = self._prepare(membrane)
+        came = None if self._places is None else self._places(membrane)
         if self._scalar is not None:
             radiance = self._scalar.radiance(membrane, self._scene.seed)
-            return radiance, develop(self._scene, radiance, index), height_map(self._scene, membrane)
+            image = as_picture(developer(self._arrays.floats(radiance), index, came), radiance.shape[:2])
+            return radiance, image, height_map(self._scene, membrane)
         self._tracer.place(membrane)
         picture, height = self._tracer.picture(self._scene.seed), self._tracer.height()
         self._tracer.dr.eval(picture, height)
-        return picture, self._developer(self._arrays.floats(picture.array), index), height
+        return picture, developer(self._arrays.floats(picture.array), index, came), height
 
     def fetch(self, drawn: tuple[Any, Any, Any]) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
         """Of a frame that was started: linear RGB and the 8-bit picture, (H, W, 3), and z at the pixels' centres [m], (H, W)."""

@@ -242,6 +242,9 @@ class Camera:
     """Standard deviation of the noise before the tone curve in red, green and blue [share of white]; 0 = none."""
     tone: str = "srgb"
     """"srgb": IEC 61966-2-1 | "linear": none."""
+    rest: str | None = None
+    """A photograph without contact (PNG, JPG): frames are this picture, changed by what a press changes (docs/optics.md). It shows markers
+    and grain of its own; [markers] then only says where their centres are."""
 
 
 @dataclass(frozen=True)

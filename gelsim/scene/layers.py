@@ -23,6 +23,9 @@ from gelsim.scene.fields import field_types, known_key, nearest
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
 """What a sensor preset may fill."""
 
+PATHS = ("object.mesh", "sensor.preset", "camera.rest")
+"""Fields that name a file: relative to the file that they stand in."""
+
 Layer = dict[str, Any]
 
 
@@ -41,7 +44,7 @@ def load_scene(path: str | Path) -> Scene:
     """Read a scene file.
 
     Args:
-        path: A TOML file. Paths in it (object.mesh, sensor.preset) are relative to its folder.
+        path: A TOML file. Paths in it (object.mesh, sensor.preset, camera.rest) are relative to its folder.
     Raises:
         SceneError: No such file, not TOML, an unknown key, or a field out of range; MaterialError for a hardness out of range.
     """
@@ -137,7 +140,7 @@ def load_expectation(path: str | Path) -> Expectation:
 def anchored(layer: Layer, folder: Path) -> Layer:
     """A layer whose paths were relative to a folder."""
     found = dict(layer)
-    for section, key in (("object", "mesh"), ("sensor", "preset")):
+    for section, key in (name.split(".") for name in PATHS):
         table = layer.get(section)
         if isinstance(table, dict) and key in table:
             found[section] = table | {key: from_folder(f"{section}.{key}", table[key], folder)}
@@ -146,7 +149,7 @@ def anchored(layer: Layer, folder: Path) -> Layer:
 
 def from_folder(name: str, value: Any, folder: Path) -> Any:
     """A field's value; a path is taken from `folder`."""
-    if name not in ("object.mesh", "sensor.preset") or not isinstance(value, str):
+    if name not in PATHS or not isinstance(value, str):
         return value
     is_path = value.endswith(".toml") if name == "sensor.preset" else value.lower() != "none"
     return os.path.normpath(folder / value) if is_path else value
@@ -205,7 +208,7 @@ def _preset_layer(preset: object) -> Layer:
     layer = read_toml(path, "sensor preset")
     with within(_preset_named(preset)):
         _check_layer(layer, PRESET_SECTIONS)
-    return layer
+    return anchored(layer, path.parent.resolve())
 
 
 def _preset_named(preset: object) -> str:

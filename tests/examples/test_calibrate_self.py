@@ -34,8 +34,9 @@ def test_a_known_sensor_is_found(repository: Path, tmp_path: Path, monkeypatch: 
     # Presses to a tenth of a pixel, and to 3 % of the depth.
     assert max(errors("png.x_mm").max(), errors("png.y_mm").max()) < 0.1 * pixel_mm
     assert errors("depth_mm", relative=True).max() < 0.03
-    # Pictures not fitted to: noise 1.5² and rounding 1/12 twice, plus the renderer's noise in both, about 1, make 3.5.
-    assert report["scores"]["test"]["whole"]["mse"] < 4.5
+    # Pictures not fitted to: noise 1.5² and rounding 1/12, in the press's photograph and in the rest's, which few presses cannot average,
+    # make 4.7; the renderer's noise in both, about 1.
+    assert report["scores"]["test"]["whole"]["mse"] < 6
     assert report["scores"]["no_contact_as_test"]["whole"]["mse"] > 20
     # Standard deviations leave out errors that all photographs share, so a median of 0.7 is not reached; but they are of the right size.
     found = np.array([abs(got - wanted) / sd for _, wanted, got, sd, state in rows if state in ("determined", "train", "test")])
@@ -43,4 +44,11 @@ def test_a_known_sensor_is_found(repository: Path, tmp_path: Path, monkeypatch: 
     # The preset is a sensor.
     scene = build_scene({"sensor": {"preset": str(tmp_path / "sensor.toml")}})
     assert scene.camera.resolution == (width, height) and len(scene.lights.lights) == len(report["fit"]["lights"])
-    assert {path.name for path in tmp_path.iterdir()} == {"photos", "sensor.toml", "report.json", "comparison.png", "residuals.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "photos",
+        "sensor.toml",
+        "sensor_rest.png",
+        "report.json",
+        "comparison.png",
+        "residuals.png",
+    }

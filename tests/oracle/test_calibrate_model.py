@@ -11,11 +11,17 @@ from gelsim.calibrate import dent, drawing, model
 from gelsim.calibrate.dent import THICKNESSES, DentFamily, Dents, effective_radius, solve_dents
 from gelsim.calibrate.fit import Data, Evaluation
 from gelsim.calibrate.parameters import Parameters, curvature_of, dome_of, empty_scene, to_scene
-from gelsim.calibrate.start import shading_basis
 from gelsim.optics.camera import project
+from gelsim.optics.rest import even_part, save_levels
 from gelsim.scene.definition import Camera, Gel, Lights, Render
 
 BALL_MM, CURVATURE, SIZE = 2.0, 1 / 40, (48, 36)
+ROW, COLUMN = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
+LEVELS = (200 - 40 * np.hypot(COLUMN - 24, ROW - 18) / 30 - 60 * (np.hypot(COLUMN % 8 - 4, ROW % 8 - 4) < 1.6))[..., None] * np.array(
+    [0.9, 1, 0.8]
+)
+REST = model.Rest(np.rint(LEVELS), even_part(np.rint(LEVELS)))
+"""A photograph with a vignette and dark dots."""
 PRESSES = np.array([[0.9, -0.6, 0.9], [-3.0, 1.5, 0.6]])
 
 
@@ -26,11 +32,8 @@ def parameters() -> Parameters:
         [1.6 * half, azimuth, -0.7 * half, 0.1, 0.3, np.log(0.6 * half), np.log(0.2 * half)] for azimuth in np.radians([10.0, 130.0, 250.0])
     ]
     colours = np.array([[9.0, 0.5, 0.3], [0.4, 8.0, 0.6], [0.3, 0.7, 9.0], [900.0, 800.0, 900.0]])
-    shading = np.zeros((9, 3))
-    shading[0], shading[4, 1] = (0.2, -0.1, 0.0), 0.15
-    return Parameters(
-        np.array([0.25, 30.0, CURVATURE, 2.4, 0.3, 0.45, 1.1]), np.array(geometry), colours, shading, half, SIZE[0] / 2, (4.0, 1.49, 1.41)
-    )
+    values = np.array([0.25, 30.0, CURVATURE, 2.4, 0.3, 0.45, 1.1, 0.03, -0.05, 0.3])
+    return Parameters(values, np.array(geometry), colours, half, SIZE[0] / 2, (4.0, 1.49, 1.41))
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +41,11 @@ def dents() -> Dents:
     return solve_dents(Gel(size_mm=(20.0, 20.0)), effective_radius(BALL_MM, CURVATURE), True)
 
 
-def pixels_of(press: int) -> Data:
-    rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
-    place = np.column_stack([columns.ravel() + 0.5 - SIZE[0] / 2, rows.ravel() + 0.5 - SIZE[1] / 2])
-    basis = shading_basis(2 * place[:, 0] / SIZE[0], 2 * place[:, 1] / SIZE[1], 3)
+def pixels_of(press: int, near_mm: float = np.inf) -> Data:
+    place = np.column_stack([COLUMN.ravel() - SIZE[0] / 2, ROW.ravel() - SIZE[1] / 2])
+    place = place[np.hypot(*(0.25 * place - PRESSES[press, :2]).T) < near_mm]
     zero = np.zeros((len(place), 3))
-    return Data(model.Pixels(place, np.full(len(place), press)), zero, zero + 1, np.zeros(len(place), int), basis, zero)
+    return Data(model.Pixels(place, np.full(len(place), press)), zero, zero + 1, np.zeros(len(place), int), REST, zero)
 
 
 def start_scene():
@@ -52,37 +54,45 @@ def start_scene():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("press", [-1, 0, 1])
-def test_model_is_the_renderer_in_direct_mode(dents, press):
+def test_model_is_the_renderer_in_direct_mode(dents, press, tmp_path, monkeypatch):
     chosen = parameters()
+    save_levels(LEVELS, tmp_path / "rest.png")
     scene = to_scene(chosen, start_scene(), SIZE)
+    scene = scene.replace(camera=replace(scene.camera, rest=str(tmp_path / "rest.png")))
     assert curvature_of(scene.gel) == pytest.approx(CURVATURE, rel=1e-6)
     scene = scene.replace(render=Render(mode="direct", spp=576, resolution=SIZE))
-    rest, drawn = drawing.draw(scene, dents.at(2.4), BALL_MM, list(PRESSES))
+    rest, drawn = drawing.draw(scene, dents.at(2.4, 0.3), BALL_MM, list(PRESSES))
     wanted = (rest if press < 0 else drawn[press]).astype(float)
     level = Evaluation(chosen, PRESSES, pixels_of(press), dents, BALL_MM).level.reshape(wanted.shape)
-    error = level - wanted
-    # 8-bit rounding gives 0.3 levels; 144 paths a light leave about 1 % of the radiance, 0.8 levels; the light by six points 0.5 %.
-    assert np.median(np.abs(error)) < 1.0
-    # The dent's shadow is a soft step here and a penumbra there, and a pixel at its rim sees one slope here and an average there: 2 levels.
-    assert np.sqrt((error**2).mean()) < 2.5
-    # A light 5 % of its distance farther out must be noticed.
+    error = np.sqrt(((level - wanted) ** 2).mean())
+    # 8-bit rounding gives 0.3 levels. The dent's shadow is a soft step here and a penumbra there, and a pixel at its rim sees one slope
+    # here and an average there: 0.9 levels with that.
+    assert error < 1.2
+    if press < 0:
+        return
+    # Planted: a light 15 % of its distance farther out; dots that stay where they were.
     geometry = chosen.geometry.copy()
-    geometry[1, 0] *= 1.05
+    geometry[1, 0] *= 1.15
     wrong = Evaluation(replace(chosen, geometry=geometry), PRESSES, pixels_of(press), dents, BALL_MM).level.reshape(wanted.shape)
-    assert np.sqrt(((wrong - wanted) ** 2).mean()) > 1.2 * np.sqrt((error**2).mean())
+    monkeypatch.setattr(model, "rest_place", lambda shape, family, pixels, seen: pixels.place)
+    stuck = Evaluation(chosen, PRESSES, pixels_of(press), dents, BALL_MM).level.reshape(wanted.shape)
+    assert min(np.sqrt(((each - wanted) ** 2).mean()) for each in (wrong, stuck)) > 1.15 * error
 
 
-def agree(column: np.ndarray, central: np.ndarray) -> bool:
-    """Within 1 %, and a hundredth of the typical size, in 98 % of the values: where a pixel lies on a kink (the rim of a shadow, a step of
+def agree(column: np.ndarray, central: np.ndarray, share: float = 0.98) -> bool:
+    """Within 1 %, and a hundredth of the typical size, in that share: where a pixel lies on a kink (the rim of a shadow, a step of
     the tables, a flank that turns from the light) the one-sided difference is another number than the central one, and neither is wrong."""
-    return float((np.abs(column - central) <= 0.01 * np.abs(central) + 0.01 * np.sqrt((central**2).mean())).mean()) > 0.98
+    return float((np.abs(column - central) <= 0.01 * np.abs(central) + 0.01 * np.sqrt((central**2).mean())).mean()) > share
 
 
 def test_derivatives_are_central_differences(dents):
-    chosen, data = parameters(), pixels_of(0)
+    # Far from the dent nothing changes, whatever the sensor.
+    chosen, data = parameters(), pixels_of(0, 1.8)
     # A second thickness, so that there is something to interpolate.
-    family = dents.families[0]
-    dents = Dents(np.array([2.0, 3.0]), (family, replace(family, height=1.1 * family.height, slope=1.1 * family.slope)))
+    pairs = [
+        (family, replace(family, height=1.1 * family.height, slope=1.1 * family.slope)) for family in (dents.families[0], dents.slippery[0])
+    ]
+    dents = Dents(np.array([2.0, 3.0]), *pairs)
     here = Evaluation(chosen, PRESSES, data, dents, BALL_MM)
     columns, own = here.sensor_columns(), here.press_columns()
     vector = chosen.vector
@@ -101,9 +111,10 @@ def test_derivatives_are_central_differences(dents):
         step[0, k] = 1e-3
         above, below = (Evaluation(chosen, PRESSES + sign * step, data, dents, BALL_MM).level.ravel() for sign in (1, -1))
         central = (above - below) / 2e-3
-        assert agree(own[:, :, k].ravel(), central)
+        # A picture between pixels is linear piece by piece: where a dot's edge passes a pixel there is a kink.
+        assert agree(own[:, :, k].ravel(), central, 0.9)
         # Planted: the derivative by another quantity.
-        assert not agree(own[:, :, (k + 1) % 3].ravel(), central)
+        assert not agree(own[:, :, (k + 1) % 3].ravel(), central, 0.9)
 
 
 def test_the_dent_conforms_to_the_ball(dents):

@@ -75,6 +75,8 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,col_px\na.png,-5\n", "presses.csv: line 2: col_px = -5 px: allowed is 0 … 64 px"),
         ("presses.csv", "file,col_px,row_px\na.png,64,48\nb.jpg,0,48.5\n", "presses.csv: line 3: row_px = 48.5 px: allowed is 0 … 48 px"),
         ("presses.csv", "file,depth_mm\na.png,nan\n", "depth_mm = nan is not finite"),
+        ("presses.csv", "file,contact_radius_px\na.png,0\n", "contact_radius_px = 0 px: allowed is more than 0, up to 32 px"),
+        ("presses.csv", "file,contact_radius_px\na.png,33\n", "contact_radius_px = 33 px: allowed is more than 0, up to 32 px"),
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
         ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
         ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
@@ -130,17 +132,62 @@ def test_photographs_without_any_contact_are_refused(folder, tmp_path, capsys):
     assert "no contact can be seen in a.png" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
+def test_circles_that_a_person_drew_are_believed(folder, tmp_path, monkeypatch):
+    (folder / "presses.csv").write_text("file,col_px,row_px,contact_radius_px\na.png,20,30,6\nb.jpg,,,\n")
+    photos = read_photos(folder)
+    assert photos.radii[0] == 6 and np.isnan(photos.radii[1])
+    found = np.array([[40.0, 10.0, 12.0], [32.0, 24.0, 8.0]])
+    monkeypatch.setattr(run.beginning, "find_contacts", lambda *_: (found, np.array([False, True])))
+    monkeypatch.setattr(run, "solve_dents", lambda *_: None)
+    job, _ = run._prepare(photos, run._base(None), tmp_path, "cpu", lambda *_: None, [])
+    # The drape about a contact is half as wide again. Planted: what was found is another place.
+    assert job.contacts == pytest.approx(np.array([[20.0, 30.0, 9.0], [32.0, 24.0, 8.0]])) and job.contacts[0, 0] != found[0, 0]
+
+
 @pytest.mark.parametrize(("off", "warned"), [(5.0, False), (15.0, True)])
 def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     """The one press differs from no_contact by 10 levels everywhere, the fitted sensor's picture of it by `off`."""
     (folder / "presses.csv").write_text("file\na.png\n")
     photos = read_photos(folder)
-    globals_ = np.array([0.3, 40.0, 0.0, 3.0, 0.1, 0.4, 1.0])
-    sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), np.zeros((0, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
+    globals_ = np.array([0.3, 40.0, 0.0, 3.0, 0.1, 0.4, 1.0, 0.0, 0.0, 0.0])
+    sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
     base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
     frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
-    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, photos.no_contact, None, nothing, nothing, frozen, "cpu")  # type: ignore[arg-type]
+    none: Any = SimpleNamespace(deepest_mm=1.0)
+    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, none, frozen, "cpu")
     fitted = run.Fitted(sensor, np.zeros((1, 3)), 0.0, 1.0, 1.0, np.eye(sensor.vector.size), 1)
     places = np.zeros((1, 3))
-    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, {}, [])
+    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
     assert ["worse than the no-contact picture does (MSE 225.0, not 100.0)" in text for text in report["warnings"]] == [True] * warned
+    # The no-contact photograph's crop is its own: here all of it is off by 10. Depths at a bound are said.
+    assert report["scores"]["no_contact_as_train"]["crop"]["mse"] == pytest.approx(100.0)
+    assert any("depth at its bound" in text for text in report["warnings"]) is False
+    places[0, 2] = 1.0
+    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
+    assert any("depth at its bound of 1 mm, the deepest that is solved: a.png; check ball_radius_mm" in text for text in report["warnings"])
+
+
+def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
+    """Errors of 5, then 3, then 4: presses that were left out of the fit judge, and the second state is the best."""
+    for index in range(8):
+        Image.open(folder / "a.png").save(folder / f"p{index}.png")
+    (folder / "presses.csv").write_text("file\n" + "".join(f"p{index}.png\n" for index in range(8)))
+    photos = read_photos(folder)
+    sensor = Parameters(np.zeros(len(GLOBALS)), np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
+    fits, errors = [], iter([5.0, 3.0, 4.0])
+
+    def fitted(job, begin, presses, *_):
+        fits.append(len(presses))
+        return run.Fitted(sensor, presses, 0.0, 1.0, 1.0, np.eye(1), 1)
+
+    monkeypatch.setattr(run, "_seed", lambda *_: (sensor, np.zeros((8, 3))))
+    monkeypatch.setattr(run.beginning, "choose_lights", lambda *_: sensor)
+    monkeypatch.setattr(run, "_fit", fitted)
+    monkeypatch.setattr(run, "_without_needless_lights", lambda job, first, rough, *_: (first, rough))
+    monkeypatch.setattr(run, "_locate", lambda job, state, presses, *_: SimpleNamespace(presses=presses))
+    monkeypatch.setattr(run, "_correction", lambda *_: (None, None))
+    monkeypatch.setattr(run, "_dent_error", lambda job, pictures, which: next(errors))
+    job: Any = SimpleNamespace(photos=photos, data=lambda *_: None, dents=None)
+    _, _, states, judged = run._states(job, 0.1, lambda *_: None)
+    assert [state.error for state in states] == [5.0, 3.0, 4.0] and min(states, key=lambda each: each.error) is states[1]
+    assert judged.tolist() == [2, 6] and fits == [6, 6, 6] and not set(judged) & set(states[1].which)

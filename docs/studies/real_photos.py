@@ -1,0 +1,123 @@
+"""Real photographs of other people's sensors as folders for `gelsim calibrate`, and how far off the dots of the fitted sensor are.
+
+    python docs/studies/real_photos.py --data ../shared/real --set mini_markers --out out/mini_photos
+    gelsim calibrate --photos out/mini_photos --sensor mini --out out/mini/mini.toml
+    python docs/studies/real_photos.py --photos out/mini_photos --dots out/mini/mini.toml
+
+Sets: `mini_markers` (a GelSight Mini, ball of 5.0 mm diameter, its gel by the data sheet; the half that its owner named is for testing)
+and `dots427` (a laboratory's own sensor, ball radius 2.38 mm; every third press by number is for testing). Nothing else is handed on: no
+scale, no place, no depth. The photographs carry no licence: they are read, and nothing made from them stays in this repository.
+
+Dots: dark blobs of the picture without contact, found again within half the distance of neighbours in a test press's photograph and
+in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, of the
+motion, and of the distance once each press's own mean is taken off, which is what the hand moved sideways.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from gelsim.calibrate import drawing
+from gelsim.calibrate.dent import effective_radius, solve_dents
+from gelsim.calibrate.dots import dark_pixels
+from gelsim.calibrate.parameters import curvature_of
+from gelsim.calibrate.photos import read_photos
+from gelsim.scene.layers import build_scene
+
+MOVED_PX = 2.0
+MINI = """ball_radius_mm = 2.5
+no_contact = "no_contact.png"
+markers = true
+
+[gel]
+profile = "flat"
+size_mm = [25.25, 20.75]
+thickness_mm = 4.25
+"""
+OWN = 'ball_radius_mm = 2.38\nno_contact = "no_contact.jpg"\nmarkers = true\n'
+
+
+def write_folder(data: Path, name: str, out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    if name == "mini_markers":
+        with (data / name / "contacts.csv").open(encoding="utf-8") as file:
+            rows = [(row["file"], row["half"]) for row in csv.DictReader(file)]
+    else:
+        files = sorted((data / name).glob("press_*.jpg"), key=lambda path: int(re.findall(r"\d+", path.stem)[0]))
+        rows = [(path.name, "test" if index % 3 == 2 else "train") for index, path in enumerate(files)]
+    settings = MINI if name == "mini_markers" else OWN
+    (out / "photos.toml").write_text(settings, encoding="utf-8")
+    with (out / "presses.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["file", "split"])
+        table.writerows(rows)
+    for file in [*(file for file, _ in rows), settings.split('"')[1]]:
+        shutil.copyfile(data / name / file, out / file)
+
+
+def dots_of(picture: np.ndarray) -> np.ndarray:
+    """Middles of the dark blobs (column, row) [px], shape (K, 2)."""
+    labels, count = ndimage.label(dark_pixels(picture[None].astype(float))[0])  # type: ignore[misc]
+    numbers = np.arange(1, count + 1)
+    areas = np.asarray(ndimage.sum(labels > 0, labels, numbers), float)
+    weight = 255.0 - picture.mean(axis=2)
+    middles = np.array(ndimage.center_of_mass(weight, labels, numbers))[:, ::-1]
+    return middles[(areas > 0.4 * np.median(areas)) & (areas < 2.5 * np.median(areas))]
+
+
+def dot_errors(photos_folder: Path, sensor: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Error, motion, and error less the press's mean [px] of each dot that moved, over all test presses."""
+    photos = read_photos(photos_folder)
+    report = json.loads((sensor.parent / "report.json").read_text(encoding="utf-8"))
+    scene = build_scene({"sensor": {"preset": str(sensor.resolve())}})
+    scene = scene.replace(render=type(scene.render)("path", 16, photos.size))
+    dents = solve_dents(scene.gel, effective_radius(photos.ball_mm, curvature_of(scene.gel)), True)
+    test = [index for index, row in enumerate(report["presses"]) if row["split"] == "test"]
+    presses = [np.array([*report["presses"][index]["offset_mm"], report["presses"][index]["depth_mm"]]) for index in test]
+    rest, drawn = drawing.draw(
+        scene, dents.at(scene.gel.thickness_mm, report["parameters"]["contact.slip"]["value"]), photos.ball_mm, presses
+    )
+    before = dots_of(rest)
+    apart = KDTree(before).query(before, k=2)[0][:, 1]
+    errors, moves, sideways = [], [], []
+    for index, picture in zip(test, drawn, strict=True):
+        found = [dots_of(each) for each in (photos.pictures[index], picture)]
+        near = [KDTree(middles).query(before) for middles in found]
+        kept = (near[0][0] < 0.5 * np.median(apart)) & (near[1][0] < 0.5 * np.median(apart)) & (near[0][0] >= MOVED_PX)
+        error = (found[0][near[0][1]] - found[1][near[1][1]])[kept]
+        errors.append(np.hypot(*error.T))
+        moves.append(near[0][0][kept])
+        if len(error) > 1:
+            sideways.append(np.hypot(*(error - error.mean(axis=0)).T))
+    return np.concatenate(errors), np.concatenate(moves), np.concatenate(sideways)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--set", choices=["mini_markers", "dots427"])
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--photos", type=Path)
+    parser.add_argument("--dots", type=Path, metavar="SENSOR.toml")
+    options = parser.parse_args()
+    if options.dots:
+        errors, moves, sideways = dot_errors(options.photos, options.dots)
+        print(
+            f"{len(errors)} dots moved {MOVED_PX:g} px or more: median error {np.median(errors):.2f} px, motion {np.median(moves):.2f} px"
+        )
+        print(f"median error less each press's own mean {np.median(sideways):.2f} px")
+    else:
+        write_folder(options.data, options.set, options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+"""A sensor's rest as it was photographed: a rendered picture is that photograph, changed by what the renderer says the press changes.
+
+    x_c = m_c(q) · [B_c + g_c (L_c − L⁰_c)],      m = P / B,
+
+in the units in which the camera's pipeline (`optics.isp`) goes on. P is the photograph without contact, its tone curve undone; B its even
+part, which is the optics' (vignette, glow of light guides, dark corners) and stays where it is; m the rest of it, painted on the coat
+(dots, scratches, dust) and moves with it: q is where in the picture at rest the piece of coat appeared that a pixel sees now. L and L⁰ are
+the drawn radiance with and without the press, by the same mode and the same random numbers, without markers and grain; g the pipeline's
+gain. So nothing is asked of the lights but what a press changes: a membrane at rest is the photograph, whatever the lights are.
+
+Even and painted are told apart by size: B is a high percentile of the levels over windows of an EVENth of the picture's width, smoothed
+(docs/decisions/0004-rest.md). Where a pixel sees no gel the photograph stays. Left out: fine dirt on the lens, which moves as if it were
+painted; a pixel's even light where the lights were changed after the photograph (`relight`): only the change then has the new lights.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.errors import SceneError
+from gelsim.scene.definition import Scene
+
+EVEN = 8
+"""Windows across the picture; docs/decisions/0004-rest.md has the figures."""
+UPPER = 65.0
+"""Percentile of a window: dots are dark and cover less than the rest of it."""
+COARSE = 160
+"""Width [px] that the even part is looked for at: it holds nothing finer."""
+DARKEST = 1e-4
+"""Even light below this share of white is taken as this: of what is black nothing can be told."""
+
+
+def rest_levels(scene: Scene) -> NDArray[np.float64]:
+    """The photograph at the size of the rendered picture, levels 0 … 255, shape (H, W, 3).
+
+    Raises:
+        SceneError: It cannot be read, or has another aspect than the rendered picture.
+    """
+    levels = _photograph(str(scene.camera.rest))
+    (height, width), (columns, rows) = levels.shape[:2], scene.render.resolution
+    if abs(width * rows - height * columns) > max(width, columns):
+        raise SceneError(
+            f"camera.rest = {scene.camera.rest!r} is {width} x {height} px, but render.resolution = {columns} {rows}: "
+            f"a sensor with a photograph is drawn at the photograph's aspect"
+        )
+    return resized(levels, (columns, rows))
+
+
+@lru_cache(maxsize=4)
+def _photograph(path: str) -> NDArray[np.float64]:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"), np.float64)
+    except OSError as error:  # Pillow's own for what is no picture is one
+        raise SceneError(f"camera.rest = {path!r}: is not a picture that can be read ({error.strerror or error})") from None
+
+
+def save_levels(levels: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+    """Writes levels 0 … 255 as a PNG, and returns them as they then are."""
+    from PIL import Image
+
+    rounded = np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+    Image.fromarray(rounded).save(path, format="PNG")
+    return rounded.astype(np.float64)
+
+
+def resized(levels: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Means over the new pixels, or between the old ones where the new are finer."""
+    from PIL import Image
+
+    if (levels.shape[1], levels.shape[0]) == tuple(size):
+        return levels
+    way = Image.Resampling.BOX if size[0] < levels.shape[1] else Image.Resampling.BICUBIC
+    parts = [np.asarray(Image.fromarray(np.float32(levels[..., c])).resize(size, way)) for c in range(3)]
+    return np.clip(np.stack(parts, axis=-1).astype(np.float64), 0, 255)
+
+
+def even_part(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What of a picture at rest is the optics', of the same shape (H, W, 3)."""
+    from scipy import ndimage
+
+    height, width = levels.shape[:2]
+    small = resized(levels, (COARSE, max(round(COARSE * height / width), 1))) if width > COARSE else levels
+    side = small.shape[1] // EVEN | 1
+    upper = np.stack([ndimage.percentile_filter(small[..., c], UPPER, size=side) for c in range(3)], axis=-1)
+    return resized(ndimage.gaussian_filter(upper, (side / 3, side / 3, 0)), (width, height))
+
+
+def untoned(scene: Scene, levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values before the tone curve and its exponent, of levels 0 … 255."""
+    value = np.clip(levels / 255, 0, 1) ** (1 / scene.camera.gamma)
+    return value if scene.camera.tone == "linear" else np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def rest_tables(scene: Scene, gained: NDArray[np.floating]) -> dict[str, NDArray[np.float32]]:
+    """What the image pipeline needs of the photograph, four numbers a pixel.
+
+    Args:
+        gained: Radiance at rest times the pipeline's gain, shape (H, W, 3); NaN or 0 where the camera sees no gel.
+    Returns:
+        "rest_even": B − g L⁰, and "rest_paint": m.
+    """
+    levels = rest_levels(scene)
+    even = np.maximum(untoned(scene, even_part(levels)), DARKEST)
+    tables = {"rest_even": even - gained, "rest_paint": untoned(scene, levels) / even}
+    return {name: _fours(values) for name, values in tables.items()}
+
+
+def _fours(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    return np.concatenate([values, np.zeros((*values.shape[:2], 1))], axis=2).astype(np.float32)
