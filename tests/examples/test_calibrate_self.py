@@ -35,8 +35,8 @@ def test_a_known_sensor_is_found(repository: Path, tmp_path: Path, monkeypatch: 
     assert max(errors("png.x_mm").max(), errors("png.y_mm").max()) < 0.1 * pixel_mm
     assert errors("depth_mm", relative=True).max() < 0.03
     # Pictures not fitted to: noise 1.5² and rounding 1/12, in the press's photograph and in the rest's, which few presses cannot average,
-    # make 4.7; the renderer's noise in both, about 1.
-    assert report["scores"]["test"]["whole"]["mse"] < 6
+    # make 4.7; the renderer's noise about 0.5; what the fit leaves, 0.2 to 1 (two runs).
+    assert report["scores"]["test"]["whole"]["mse"] < 7
     assert report["scores"]["no_contact_as_test"]["whole"]["mse"] > 20
     # Standard deviations leave out errors that all photographs share, so a median of 0.7 is not reached; but they are of the right size.
     found = np.array([abs(got - wanted) / sd for _, wanted, got, sd, state in rows if state in ("determined", "train", "test")])
