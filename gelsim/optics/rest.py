@@ -9,9 +9,9 @@ the drawn radiance with and without the press, by the same mode and the same ran
 gain. So nothing is asked of the lights but what a press changes: a membrane at rest is the photograph, whatever the lights are.
 
 Even and painted are told apart by size: B is a high percentile of the levels over windows of an EVENth of the picture's width, smoothed
-(docs/decisions/0004-rest.md). Where a pixel sees no gel the photograph stays. Left out: fine dirt on the lens, which moves as if it were
-painted; a pixel's even light where the lights were changed after the photograph (`relight`): only the change then has the new lights.
-"""
+(docs/decisions/0005-rest-measured.md). Where a pixel sees no gel the photograph stays. Left out: fine dirt on the lens, which moves as if
+it were painted; a pixel's even light where the lights were changed after the photograph (`relight`): only the change then has the new
+lights. """
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gelsim.errors import SceneError
 from gelsim.scene.definition import Scene
 
 EVEN = 8
-"""Windows across the picture; docs/decisions/0004-rest.md has the figures."""
+"""Windows across the picture; docs/decisions/0005-rest-measured.md has the figures."""
 UPPER = 65.0
 """Percentile of a window: dots are dark and cover less than the rest of it."""
 COARSE = 160
