@@ -76,6 +76,11 @@ class Record:
                 self.seconds[name] = round(self.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
         self.warnings += [f"{name}: {item.message}" for item in caught if not issubclass(item.category, DeprecationWarning)]
 
+    def note(self, text: str) -> None:
+        """Warns of something once."""
+        if text not in self.warnings:
+            self.warnings.append(text)
+
     def add(self, other: Record) -> None:
         """Takes what another one says beside its own."""
         self.seconds |= other.seconds
@@ -228,12 +233,15 @@ def _bodies(
         from gelsim.mesh import body_mesh, gel_mesh
         from gelsim.shape import shapes
     with record.stage("mesh"):
-        if scene.object.mesh:
-            _check_depth(scene, scene.object.mesh)
+        if shapes.of_file(scene.object):
+            _look_at_file(scene, record)
         # The object first: a file that cannot be used should not cost the gel's mesh.
         if scene.object.rigid:
             body = surface = shapes.rigid_surface(scene, symmetry)
             record.meshes["object"] = {"nodes": len(body.nodes), "elements": 0, "surface_faces": len(body.faces)}
+            if shapes.of_file(scene.object) and len(body.faces) < (of_file := record.meshes["file"]["faces"]):
+                record.meshes["file"]["faces_near_gel"] = len(body.faces)
+                record.note(f"object.mesh: cut down to the {len(body.faces)} of its {of_file} faces that lie near the gel")
         else:
             body = body_mesh.mesh_object(scene, symmetry, drawn_before=draw)
             surface = body.surface("contact")
@@ -328,14 +336,19 @@ def _counting(progress: Progress | None, before: int, total: int) -> Callable[[i
     return (lambda done, _: progress("press", before + done, total)) if progress else None
 
 
-def _check_depth(scene: Scene, path: str) -> None:
-    """What the scene's own check does for other shapes: only the file knows how tall the object is."""
-    from gelsim.shape.mesh_file import read_surface
+def _look_at_file(scene: Scene, record: Record) -> None:
+    """Records what was done to an object's file, and checks the depth as the scene does for other shapes: only the file has a height."""
+    from gelsim.shape.mesh_file import read_part
 
-    height_mm = read_surface(path, scene.object.mesh_unit)[0].vertices[:, 2].max() / MM
+    part = read_part(scene.object)
+    record.meshes["file"] = part.done | {"faces": len(part.surface.faces)}
+    for note in part.notes:
+        record.note(note)
+    height_mm = part.surface.vertices[:, 2].max() / MM
     if scene.press.depth_mm is not None and scene.press.depth_mm >= height_mm:
         raise SceneError(
-            f"press.depth_mm = {scene.press.depth_mm:g} mm: it must be less than the height of object.mesh = {path!r}, {height_mm:.4g} mm"
+            f"press.depth_mm = {scene.press.depth_mm:g} mm: it must be less than the height of object.mesh = {scene.object.mesh!r}, "
+            f"{height_mm:.4g} mm"
         )
 
 
