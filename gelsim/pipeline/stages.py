@@ -49,6 +49,9 @@ MOST_OVERLAP_UM = 50.0
 """Overlap of the bodies that is warned of, and that the stability suite allows: at `fast` a tenth of the finest edge is 25 µm, and a sharp
 rigid rim cuts in."""
 
+UNSURE = 0.1
+"""Estimated relative error of the force above which a report warns."""
+
 MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity", "target_error", "target_membrane_um")
 """Parts of a scene that decide its press; `resume` needs them unchanged."""
 
@@ -464,11 +467,17 @@ def summary(report: dict[str, Any]) -> str:
     final = report["final"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in report["seconds"].items() if name != "total" and value >= 0.05)
     lines = [
-        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N "
+        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N{_doubt(report)} "
         f"on {final['contact_area_mm2']:.1f} mm²{_why_ended(report)}",
         f"{report['seconds']['total']:.1f} s ({seconds})",
     ]
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
+
+
+def _doubt(report: dict[str, Any]) -> str:
+    """The estimated error of the force, beside it."""
+    estimate = (report["error_estimate"] or {}).get("force")
+    return "" if estimate is None else f" ± {100 * estimate:.2g} %"
 
 
 def _why_ended(report: dict[str, Any]) -> str:
@@ -563,6 +572,9 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
             f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"
             + (f": a sharp or crushed edge; --fidelity {finer} shows how much" if finer else "")
         )
+    if isinstance(estimate, dict) and (doubt := estimate.get("force") or 0.0) > UNSURE:
+        noted.append(f"the force is known to {100 * doubt:.2g} % only (error_estimate); a finer --fidelity tells more")
+    noted += _beside_picture(scene, deformation)
     report = {
         "out": str(out),
         "status": deformation.status.value,
@@ -591,6 +603,22 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
     plain = outputs.plain_json(report)
     assert isinstance(plain, dict)
     return plain
+
+
+def _beside_picture(scene: Scene, deformation: Deformation) -> list[str]:
+    """A warning where most of the last state's contact pressure lies outside the camera's field, its tilt left out."""
+    pressure = np.maximum(deformation.contact_pressure[-1], 0.0)
+    if not pressure.any():
+        return []
+    away = np.abs(deformation.gel.rest[:, :2] / MM - scene.camera.offset_mm)
+    seen = (away <= np.array(scene.camera.field_mm) / 2).all(axis=1)
+    outside = pressure[~seen].sum() / pressure.sum()
+    if outside <= 0.5:
+        return []
+    return [
+        f"{100 * outside:.0f} % of the contact lies outside the camera's field of {scene.camera.field_mm[0]:g} x "
+        f'{scene.camera.field_mm[1]:g} mm; press.touch_at = "centre" or press.offset_mm puts it into the picture'
+    ]
 
 
 def _slow_motion(scene: Scene, deformation: Deformation) -> float:

@@ -25,6 +25,8 @@ CHOICES: dict[str, Collection[str]] = {
     "render.mode": ("baked", "path", "direct", "auto"),
 }
 
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
+"""Of files that object.mesh may name."""
 SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
 """Terms of a polynomial over the picture without its constant -> its degree."""
 
@@ -139,12 +141,16 @@ def check_limits(section: object, name: str = "") -> None:
                 with within(which(value, index)):
                     check_limits(part, full)
         if full in CHOICES and value not in CHOICES[full]:
-            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{nearest(str(value), CHOICES[full])}")
+            hint = nearest(str(value), CHOICES[full])
+            if full == "object.shape" and str(value).lower().endswith(MESH_SUFFIXES):
+                hint = f"; a file is object.mesh = {value!r} (--mesh {value})"
+            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{hint}")
         if full in LIMITS:
             low, high = LIMITS[full]
             if any(not low <= number <= high for number in _numbers(value)):
                 shown = " ".join(f"{number:g}" for number in _numbers(value))
-                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}")
+                turns = "; object.press_side and object.rotation_deg turn another side to the gel" if full == "press.tilt_deg" else ""
+                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}{turns}")
 
 
 def _numbers(value: object) -> list[float]:

@@ -14,9 +14,11 @@ Left out: what crosses itself within one body is not looked for; the winding num
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +26,12 @@ from numpy.typing import NDArray
 from gelsim.errors import SceneError
 from gelsim.geometry import TriMesh, enclosed_volume
 from gelsim.scene.definition import Body
+from gelsim.scene.limits import MESH_SUFFIXES
 from gelsim.shape.orientation import is_reoriented, orientation
 from gelsim.units import MESH_UNITS, MM
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
-KINDS = ("stl", "obj", "ply", "off", "glb")
-"""Files that are read, by their suffix."""
 _BYTES = 100_000_000
 _FACES = 2_000_000
 _SMALLEST = 0.5e-3
@@ -100,6 +101,16 @@ def read_part(body: Body) -> Part:
     return _part(plain, file_stamp(body))
 
 
+def check_file(fields: Mapping[str, Any]) -> None:
+    """Reads the file of an object of which these fields are known, so that a plan or a study fails before its first press.
+
+    Raises:
+        SceneError: As by `read_part`; of an object that is not known to be soft only what a rigid one is refused for.
+    """
+    known = {key: fields[key] for key in ("mesh", "mesh_unit", "mesh_scale", "mesh_repair") if type(fields.get(key)) in (str, float, bool)}
+    read_part(Body(shape="mesh", rigid=fields.get("rigid", False) is not False, **known))
+
+
 @lru_cache(maxsize=8)
 def _part(body: Body, stamp: tuple[int, ...]) -> Part:
     vertices, faces, done = _welded(str(body.mesh), stamp)
@@ -166,7 +177,7 @@ def _welded(path: str, stamp: tuple[int, ...]) -> tuple[Array, Faces, dict[str, 
     try:
         size = os.stat(path).st_size
         kind = Path(path).suffix.lower().lstrip(".")
-        if kind not in KINDS:
+        if f".{kind}" not in MESH_SUFFIXES:
             raise SceneError(f"{named} is no {allowed}; allowed: one of these five")
         if size > _BYTES:
             raise SceneError(f"{named} has {size / 1e6:.0f} MB; allowed: up to {_BYTES / 1e6:.0f} MB")

@@ -16,10 +16,9 @@ from gelsim.pipeline.outputs import plain_json, read_press
 from gelsim.results import Deformation
 from gelsim.scene.definition import Body, Scene
 from gelsim.scene.layers import load_scene
-from gelsim.shape.mesh_file import KINDS, bodies_of, compare_bodies, read_part
+from gelsim.scene.limits import MESH_SUFFIXES
+from gelsim.shape.mesh_file import bodies_of, compare_bodies, read_part
 from gelsim.units import KPA, MM
-
-MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
 
 
 def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
