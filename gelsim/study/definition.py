@@ -205,7 +205,7 @@ def check_axis(where: str, name: str, values: Any) -> Any:
             if typing.get_origin(of_field) is tuple:
                 parts = typing.get_args(of_field)
                 said = "is a list" if Ellipsis in parts else {2: "is a pair", 3: "is a triple"}[len(parts)] + " of numbers"
-                raise SceneError(f"{where}: {said}, so it has no range; gelsim study takes a list of its values, such as [[0.0, 5.0]]")
+                raise SceneError(f"{where}: {said}, so it has no range; gelsim study takes a list of its values")
             raise SceneError(f"{where}: takes no fractions, so it has no range; gelsim study takes a list of its values")
         return values
     if not isinstance(values, list) or not values:
