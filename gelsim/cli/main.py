@@ -223,7 +223,7 @@ def _parser() -> Parser:
     add_scene_flags(optimise)
     _add_output_flags(optimise, _optimise)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
-    inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ or PLY file")
+    inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ, PLY, OFF or GLB file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
     inspect.add_argument("--out", metavar="FILE.png", help="where to draw it (default: not drawn)")
     inspect.add_argument(

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from gelsim.geometry import QuadraticSurface
 from gelsim.scene.definition import Body, Scene
 from gelsim.shape import outlines, shapes
+from gelsim.shape.mesh_file import file_stamp
 from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
@@ -274,18 +275,20 @@ def distance_field(scene: Scene) -> DistanceField:
     press, gel = scene.press, scene.gel
     travel = shapes.furthest_approach(scene) * MM_PER_M
     half = np.array(gel.size_mm) / 2 + np.abs(press.shear_mm) + MARGIN_MM
-    low = np.array([*(-half - press.offset_mm), -MARGIN_MM])
-    high = np.array([*(half - press.offset_mm), 1.25 * travel + MARGIN_MM])
+    shift = shapes.first_touch(scene)[2] * MM_PER_M
+    drop = -float(shapes.gel_height(gel, np.array([gel.size_mm]) / 2 / MM_PER_M).min()) * MM_PER_M  # of a dome, at its corners
+    low = np.array([*(-half - shift[:2]), -MARGIN_MM - drop - shift[2]])
+    high = np.array([*(half - shift[:2]), 1.25 * travel + MARGIN_MM - shift[2]])
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
     corners = corners @ shapes.rotation(scene)  # of the object's frame
     if press.twist_deg:
         reach = np.linalg.norm(corners[:, :2], axis=1).max()
         corners[:, :2] = np.sign(corners[:, :2]) * reach
-    return _field(scene.object, tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
+    return _field(scene.object, file_stamp(scene.object), tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
 
 
 @lru_cache(maxsize=4)
-def _field(body: Body, low: tuple[float, ...], high: tuple[float, ...]) -> DistanceField:
+def _field(body: Body, stamp: tuple[int, ...], low: tuple[float, ...], high: tuple[float, ...]) -> DistanceField:
     surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
     extent = surface.vertices * MM_PER_M
     begin = np.maximum(low, extent.min(axis=0) - MARGIN_MM)

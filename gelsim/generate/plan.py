@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,12 +27,13 @@ from typing import Any
 import numpy as np
 
 from gelsim.data.episodes import read_json
-from gelsim.errors import DatasetError, GelsimError, SceneError
+from gelsim.errors import DatasetError, GelsimError, SceneError, within
 from gelsim.scene import materials
 from gelsim.scene.definition import Scene
 from gelsim.scene.distributions import DRAWS, check_distribution, check_fields, draw, draw_fields, is_number
 from gelsim.scene.fields import convert, nearest
-from gelsim.scene.layers import Layer, build_scene, read_toml
+from gelsim.scene.layers import Layer, build_scene, from_folder, read_toml
+from gelsim.shape.mesh_file import check_file
 
 SENSOR, OBJECT, PRESS, EPISODE, SPLIT = range(5)
 """First numbers of the spawn keys."""
@@ -148,7 +150,11 @@ def load_plan(name: str) -> Plan:
     path = plan_path(name)
     table = _kept(path) if path.suffix == ".json" else read_toml(path, "--plan")
     try:
-        return _plan(_upon_base(table))
+        if path.suffix == ".json":
+            return _plan(_upon_base(table))
+        plan = _plan(_upon_base(_anchored(table, path.resolve().parent)))
+        _check_files(plan)
+        return plan
     except SceneError as error:
         raise SceneError(f"plan {path.name}: {error}") from None
 
@@ -163,10 +169,35 @@ def _upon_base(table: Layer, above: tuple[str, ...] = ()) -> Layer:
     name = str(table["base"])
     if name in above:
         raise SceneError(f"base = {name!r}: a plan cannot start from itself ({' -> '.join((*above, name))})")
-    below = _upon_base(read_toml(plan_path(name), "--plan"), (*above, name))
+    path = plan_path(name)
+    below = _upon_base(_anchored(read_toml(path, "--plan"), path.resolve().parent), (*above, name))
     own = {key: value for key, value in table.items() if key != "base"}
     both = {key: below[key] | own[key] for key in own if isinstance(own[key], dict) and isinstance(below.get(key), dict)}
     return below | own | {key: value for key, value in both.items() if not any(kind in own[key] for kind in DRAWS)}
+
+
+def _anchored(table: Any, folder: Path, name: str = "") -> Any:
+    """A plan's table with the paths in it, of objects, sensors and its base, taken from the folder of its file; `name`: where it stands."""
+    if isinstance(table, list):
+        return [_anchored(item, folder, name) for item in table]
+    if isinstance(table, dict):
+        inner = {key: name if key in DRAWS or key in ("then", "else") else key for key in table}
+        return {key: _anchored(value, folder, inner[key]) for key, value in table.items()}
+    if name == "base" and str(table).endswith(".toml"):
+        return os.path.normpath(folder / table)
+    return from_folder({"mesh": "object.mesh", "preset": "sensor.preset"}.get(name, name), table, folder)
+
+
+def _check_files(plan: Plan) -> None:
+    """Every mesh file that an object may have, read."""
+    for group in plan.groups:
+        for kind in group.kinds:
+            fields = {name.removeprefix("object."): value for name, value in kind.fields.items()}
+            drawn = fields.get("mesh")
+            paths = drawn.get("choice", drawn.get("cycle", [])) if isinstance(drawn, dict) else [drawn] if drawn else []
+            for path in paths:
+                with within(f"groups {group.name!r}, kind {kind.name!r}"):
+                    check_file(fields | {"mesh": path})
 
 
 def _kept(path: Path) -> Layer:

@@ -5,17 +5,15 @@ Left out: contact that comes by deformation alone.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from scipy.spatial import KDTree
 
-from gelsim.geometry import QuadraticSurface
 from gelsim.mesh.sizing import SIZES, Footprint, MeshSizes, SizeField, class_above, class_below, contact_edge
 from gelsim.scene.definition import Scene
 from gelsim.scene.shape_table import SHAPES
+from gelsim.shape.orientation import is_reoriented
 from gelsim.shape.outlines import fine_feature
-from gelsim.shape.shapes import gel_height, placement, press_depth, rigid_surface, sharp_edges
+from gelsim.shape.shapes import first_touch, gel_height, press_depth, sharp_edges
 from gelsim.shape.solids import Array
 from gelsim.units import MM
 
@@ -28,19 +26,12 @@ SMALL = 0.6
 rod or a flat too."""
 
 
-@lru_cache(maxsize=4)
-def _at_first_touch(scene: Scene) -> tuple[QuadraticSurface, Array, Array]:
-    """The object's surface, as if it were rigid, and its placement on the gel."""
-    surface = rigid_surface(scene, frozenset())
-    return surface, *placement(scene, surface)
-
-
 def _overlapping(scene: Scene, depth: float) -> tuple[Array, Array]:
     """Points (K, 3) of the object that lie in the undeformed gel when pressed by `depth` [m]: in its own frame, and where they touch first.
 
     Its apex where no point of its surface is a node in there.
     """
-    surface, turn, shift = _at_first_touch(scene)
+    surface, turn, shift = first_touch(scene)
     placed = surface.nodes @ turn.T + shift
     over = (np.abs(placed[:, :2]) <= np.array(scene.gel.size_mm) * MM / 2).all(axis=1)
     inside = over & (placed[:, 2] - gel_height(scene.gel, placed[:, :2]) < depth)
@@ -59,9 +50,10 @@ def footprint(scene: Scene) -> Footprint:
     low_class = [class_below(v) for v in inner]
     width = high_class - low_class
     row = SHAPES[scene.object.shape]
-    drawn = row.drawn and abs(scene.press.twist_deg) <= _ALONG
+    stands = not is_reoriented(scene.object)
+    drawn = row.drawn and stands and abs(scene.press.twist_deg) <= _ALONG
     stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
-    round_area = row.turned and not any(low_class)
+    round_area = row.turned and stands and not any(low_class)
     side_x, side_y = (int(np.sign(h)) if each else 0 for each, h in zip(low_class, low + high, strict=True))
     corners = (float(low_class[0]), float(low_class[1])), (float(high_class[0]), float(high_class[1]))
     return Footprint(*corners, stretch, round_area, (side_x, side_y))
@@ -122,7 +114,7 @@ def cut_pieces(pieces: Array, longest: float) -> Array:
 
 def rims_on_gel(scene: Scene) -> Array:
     """Where sharp edges of the object, in pieces (K, 2, 3), meet the gel's flat block when pressed into it, not over its border."""
-    _, turn, shift = _at_first_touch(scene)
+    _, turn, shift = first_touch(scene)
     placed = cut_pieces(sharp_edges(scene.object), 0.5 * MM) @ turn.T + shift
     inside = (np.abs(placed[..., :2]) < np.array(scene.gel.size_mm) * MM / 2 * (1 - 1e-3)).all(axis=(1, 2))
     placed = placed[inside]

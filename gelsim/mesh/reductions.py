@@ -22,6 +22,7 @@ from gelsim.errors import SceneError
 from gelsim.mesh.profiles import overlap
 from gelsim.scene.definition import Scene
 from gelsim.scene.shape_table import SHAPES
+from gelsim.shape.orientation import is_reoriented
 from gelsim.shape.shapes import press_symmetry
 from gelsim.units import MM
 
@@ -82,6 +83,8 @@ def _against(scene: Scene, kind: str) -> str:
         value = getattr(press, name)
         if any(value):
             return f"press.{name} = [{value[0]:g}, {value[1]:g}] is not zero"
+    if is_reoriented(body):
+        return "object.press_side and object.rotation_deg turn the object"
     if press.twist_deg:
         return f"press.twist_deg = {press.twist_deg:g} is not zero"
     if not body.rigid and (body.skin.thickness_mm or body.grains.count):

@@ -49,6 +49,9 @@ MOST_OVERLAP_UM = 50.0
 """Overlap of the bodies that is warned of, and that the stability suite allows: at `fast` a tenth of the finest edge is 25 µm, and a sharp
 rigid rim cuts in."""
 
+UNSURE = 0.1
+"""Estimated relative error of the force above which a report warns."""
+
 MECHANICS = ("sensor", "gel", "object", "contact", "press", "fidelity", "target_error", "target_membrane_um")
 """Parts of a scene that decide its press; `resume` needs them unchanged."""
 
@@ -75,6 +78,11 @@ class Record:
             finally:
                 self.seconds[name] = round(self.seconds.get(name, 0.0) + time.perf_counter() - start, 3)
         self.warnings += [f"{name}: {item.message}" for item in caught if not issubclass(item.category, DeprecationWarning)]
+
+    def note(self, text: str) -> None:
+        """Warns of something once."""
+        if text not in self.warnings:
+            self.warnings.append(text)
 
     def add(self, other: Record) -> None:
         """Takes what another one says beside its own."""
@@ -229,12 +237,15 @@ def _bodies(
         from gelsim.mesh import body_mesh, gel_mesh
         from gelsim.shape import shapes
     with record.stage("mesh"):
-        if scene.object.mesh:
-            _check_depth(scene, scene.object.mesh)
+        if shapes.of_file(scene.object):
+            _look_at_file(scene, record)
         # The object first: a file that cannot be used should not cost the gel's mesh.
         if scene.object.rigid:
             body = surface = shapes.rigid_surface(scene, symmetry)
             record.meshes["object"] = {"nodes": len(body.nodes), "elements": 0, "surface_faces": len(body.faces)}
+            if shapes.of_file(scene.object) and len(body.faces) < (of_file := record.meshes["file"]["faces"]):
+                record.meshes["file"]["faces_near_gel"] = len(body.faces)
+                record.note(f"object.mesh: cut down to the {len(body.faces)} of its {of_file} faces that lie near the gel")
         else:
             body = body_mesh.mesh_object(scene, symmetry, drawn_before=draw)
             surface = body.surface("contact")
@@ -329,14 +340,19 @@ def _counting(progress: Progress | None, before: int, total: int) -> Callable[[i
     return (lambda done, _: progress("press", before + done, total)) if progress else None
 
 
-def _check_depth(scene: Scene, path: str) -> None:
-    """What the scene's own check does for other shapes: only the file knows how tall the object is."""
-    from gelsim.shape.mesh_file import read_surface
+def _look_at_file(scene: Scene, record: Record) -> None:
+    """Records what was done to an object's file, and checks the depth as the scene does for other shapes: only the file has a height."""
+    from gelsim.shape.mesh_file import read_part
 
-    height_mm = read_surface(path, scene.object.mesh_unit)[0].vertices[:, 2].max() / MM
+    part = read_part(scene.object)
+    record.meshes["file"] = part.done | {"faces": len(part.surface.faces)}
+    for note in part.notes:
+        record.note(note)
+    height_mm = part.surface.vertices[:, 2].max() / MM
     if scene.press.depth_mm is not None and scene.press.depth_mm >= height_mm:
         raise SceneError(
-            f"press.depth_mm = {scene.press.depth_mm:g} mm: it must be less than the height of object.mesh = {path!r}, {height_mm:.4g} mm"
+            f"press.depth_mm = {scene.press.depth_mm:g} mm: it must be less than the height of object.mesh = {scene.object.mesh!r}, "
+            f"{height_mm:.4g} mm"
         )
 
 
@@ -452,11 +468,17 @@ def summary(report: dict[str, Any]) -> str:
     final = report["final"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in report["seconds"].items() if name != "total" and value >= 0.05)
     lines = [
-        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N "
+        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N{_doubt(report)} "
         f"on {final['contact_area_mm2']:.1f} mm²{_why_ended(report)}",
         f"{report['seconds']['total']:.1f} s ({seconds})",
     ]
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
+
+
+def _doubt(report: dict[str, Any]) -> str:
+    """The estimated error of the force, beside it."""
+    estimate = (report["error_estimate"] or {}).get("force")
+    return "" if estimate is None else f" ± {100 * estimate:.2g} %"
 
 
 def _why_ended(report: dict[str, Any]) -> str:
@@ -551,6 +573,9 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
             f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"
             + (f": a sharp or crushed edge; --fidelity {finer} shows how much" if finer else "")
         )
+    if isinstance(estimate, dict) and (doubt := estimate.get("force") or 0.0) > UNSURE:
+        noted.append(f"the force is known to {100 * doubt:.2g} % only (error_estimate); a finer --fidelity tells more")
+    noted += _beside_picture(scene, deformation)
     report = {
         "out": str(out),
         "status": deformation.status.value,
@@ -579,6 +604,22 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
     plain = outputs.plain_json(report)
     assert isinstance(plain, dict)
     return plain
+
+
+def _beside_picture(scene: Scene, deformation: Deformation) -> list[str]:
+    """A warning where most of the last state's contact pressure lies outside the camera's field, its tilt left out."""
+    pressure = np.maximum(deformation.contact_pressure[-1], 0.0)
+    if not pressure.any():
+        return []
+    away = np.abs(deformation.gel.rest[:, :2] / MM - scene.camera.offset_mm)
+    seen = (away <= np.array(scene.camera.field_mm) / 2).all(axis=1)
+    outside = pressure[~seen].sum() / pressure.sum()
+    if outside <= 0.5:
+        return []
+    return [
+        f"{100 * outside:.0f} % of the contact lies outside the camera's field of {scene.camera.field_mm[0]:g} x "
+        f'{scene.camera.field_mm[1]:g} mm; press.touch_at = "centre" or press.offset_mm puts it into the picture'
+    ]
 
 
 def _slow_motion(scene: Scene, deformation: Deformation) -> float:

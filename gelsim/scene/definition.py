@@ -137,9 +137,19 @@ class Body:
     pattern_seed: int = 0
     """Of rough: another number, another surface."""
     mesh: str | None = None
-    """A watertight STL, OBJ or PLY file (shape = "mesh"), its lowest point the contact apex."""
+    """An STL, OBJ, PLY, OFF or GLB file (shape = "mesh"), its lowest point the contact apex. Closed for a soft object; a rigid one may be
+    an open scan, have holes, and be larger than the gel."""
     mesh_unit: str = "mm"
-    """"mm" | "cm" | "m" | "in"."""
+    """"mm" | "cm" | "m" | "in"; GLB files are in m by their standard."""
+    mesh_scale: float = 1.0
+    """Multiplies the file's numbers."""
+    mesh_repair: bool = False
+    """True: open edges of a soft object's file are closed by fans of triangles. A rigid one's always are; both are said."""
+    press_side: str = "bottom"
+    """Which side faces the gel: "bottom" (the lowest z), "top", "left" (the lowest x), "right", "front" (the lowest y), "back". Acts
+    before rotation_deg. A soft object that is turned is a mesh, and held at a plane 10 % of its height below its farthest point."""
+    rotation_deg: Vec3 = (0.0, 0.0, 0.0)
+    """Of the object about x, then y, then z, before its apex is found; press.tilt_deg turns it about the apex."""
     edge_radius_mm: float | None = None
     """Radius of a rigid object's rims and edges (0.1 by default, a quarter of its smallest feature at most, 0 for a punch). 0: as sharp as
     can be resolved, 0.04."""
@@ -191,9 +201,11 @@ class Press:
     frames: int = 10
     """Recorded states, equally spaced in approach; the first is first touch."""
     tilt_deg: Vec2 = (0.0, 0.0)
-    """Of the object about x and y."""
+    """Of the object about x, then y, through its apex; to turn another side to the gel give object.press_side or object.rotation_deg."""
     offset_mm: Vec2 = (0.0, 0.0)
-    """Of the object's apex from the gel's centre."""
+    """Of what touch_at says from the gel's centre."""
+    touch_at: str = "apex"
+    """"apex": offset_mm is that of the object's apex, which may not be where a tilted one touches. "centre": that of where it does."""
     shear_mm: Vec2 = (0.0, 0.0)
     """Tangential travel, applied in proportion to the approach."""
     twist_deg: float = 0.0
@@ -510,9 +522,15 @@ def _check_view(scene: Scene) -> None:
 
 def _check_object(body: Body) -> None:
     row = SHAPES[body.shape]
+    turned = next((key for key in ("press_side", "rotation_deg") if getattr(body, key) != getattr(Body, key)), None)
+    if turned and row.made != "file" and not body.rigid:
+        raise SceneError(
+            f"object.{turned} = {getattr(body, turned)}: a soft {body.shape} cannot be turned yet; allowed with rigid = true, "
+            'or for a soft object of a file (shape = "mesh")'
+        )
     if (row.made == "file") != (body.mesh is not None):
         if body.mesh is None:
-            raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
+            raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ, PLY, OFF or GLB file')
         raise SceneError(f'object.mesh = {body.mesh!r} is given, but object.shape = {body.shape!r}: say shape = "mesh"')
     if row.wall and body.wall_mm is not None:
         most = row.most_wall * body.radius_mm

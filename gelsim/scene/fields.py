@@ -24,8 +24,9 @@ def field_types(section: type) -> dict[str, typing.Any]:
 
 def nearest(name: str, known: typing.Iterable[str]) -> str:
     """ ", did you mean …?" for a misspelt name, or "" when nothing known comes near."""
-    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f"; did you mean {match[0]!r}?" if match else ""
+    folded = {item.casefold(): item for item in known}
+    match = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
+    return f"; did you mean {folded[match[0]]!r}?" if match else ""
 
 
 def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:

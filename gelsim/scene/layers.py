@@ -61,7 +61,7 @@ def build_scene(*layers: Layer) -> Scene:
     """
     for layer in layers:
         _check_layer(layer)
-    layers = tuple(anchored(layer, Path.cwd()) for layer in layers)
+    layers = tuple(_of_a_file(anchored(layer, Path.cwd())) for layer in layers)
     preset = Sensor().preset
     for layer in layers:
         preset = layer.get("sensor", {}).get("preset", preset)
@@ -82,6 +82,13 @@ def build_scene(*layers: Layer) -> Scene:
         if str(error) == _error_of(below):
             raise type(error)(f"{_preset_named(preset)}: {error}") from None
         raise
+
+
+def _of_a_file(layer: Layer) -> Layer:
+    """A layer in which a mesh that comes without a shape says the shape."""
+    body = layer.get("object", {})
+    alone = isinstance(body, dict) and isinstance(body.get("mesh"), str) and body["mesh"].lower() != "none" and "shape" not in body
+    return layer | {"object": body | {"shape": "mesh"}} if alone else layer
 
 
 def _error_of(layer: Layer) -> str:

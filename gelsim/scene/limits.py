@@ -16,13 +16,17 @@ CHOICES: dict[str, Collection[str]] = {
     "gel.profile": ("dome", "flat"),
     "object.shape": SHAPES.keys(),
     "object.mesh_unit": tuple(MESH_UNITS),
+    "object.press_side": ("bottom", "top", "left", "right", "front", "back"),
     "object.law": materials.LAWS,
+    "press.touch_at": ("apex", "centre"),
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
     "markers.layout": ("grid", "none"),
     "camera.tone": ("srgb", "linear"),
     "render.mode": ("baked", "path", "direct", "auto"),
 }
 
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
+"""Of files that object.mesh may name."""
 SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
 """Terms of a polynomial over the picture without its constant -> its degree."""
 
@@ -46,6 +50,8 @@ LIMITS: dict[str, tuple[float, float]] = {
     "object.angle_deg": (10, 170),
     "object.wall_mm": (0.2, 50),
     "object.edge_radius_mm": (0, 5),
+    "object.mesh_scale": (1e-6, 1e6),
+    "object.rotation_deg": (-360, 360),
     "object.amplitude_mm": (0, 5),
     "object.wavelength_mm": (0.5, 50),
     "object.pattern_seed": (0, 2**32 - 1),
@@ -70,7 +76,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "press.depth_mm": (1e-3, 50),
     "press.force_n": (1e-3, 1000),
     "press.frames": (2, 1000),
-    "press.tilt_deg": (-45, 45),
+    "press.tilt_deg": (-90, 90),
     "press.offset_mm": (-50, 50),
     "press.shear_mm": (-10, 10),
     "press.twist_deg": (-90, 90),
@@ -135,12 +141,16 @@ def check_limits(section: object, name: str = "") -> None:
                 with within(which(value, index)):
                     check_limits(part, full)
         if full in CHOICES and value not in CHOICES[full]:
-            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{nearest(str(value), CHOICES[full])}")
+            hint = nearest(str(value), CHOICES[full])
+            if full == "object.shape" and str(value).lower().endswith(MESH_SUFFIXES):
+                hint = f"; a file is object.mesh = {value!r} (--mesh {value})"
+            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{hint}")
         if full in LIMITS:
             low, high = LIMITS[full]
             if any(not low <= number <= high for number in _numbers(value)):
                 shown = " ".join(f"{number:g}" for number in _numbers(value))
-                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}")
+                turns = "; object.press_side and object.rotation_deg turn another side to the gel" if full == "press.tilt_deg" else ""
+                raise SceneError(f"{full} = {shown}{_spaced(unit)}: allowed is {low:g} … {high:g}{_spaced(unit)}{turns}")
 
 
 def _numbers(value: object) -> list[float]:

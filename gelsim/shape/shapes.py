@@ -4,13 +4,15 @@ An object is described in its own frame: the contact apex (its lowest point) at 
 fixed to the platen. A parametric shape is a solid of smooth patches (`gelsim.shape.solids`), made as its row in `gelsim.scene.shape_table`
 says: a profile turned about z or drawn along y, with planes for its ends and its base; planes alone; or a block with a sum of cosines for
 an underside. The lines, arcs and waves themselves are in `gelsim.shape.outlines`. A shape of a file keeps its
-own flat facets. What lies inside an object, skin and grains, is in `gelsim.mesh.inclusions`.
+own flat facets. What lies inside an object, skin and grains, is in `gelsim.mesh.inclusions`. An object that is turned
+(`gelsim.shape.orientation`) is described as its shape says, turned, and moved to where its lowest point is the origin (`own_frame`).
 
 Left out: fillets on the sharp rims (a real cast has 0.1 mm or so).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
 
@@ -20,7 +22,8 @@ from gelsim.errors import SceneError
 from gelsim.geometry import AXES, FACE_EDGES, QuadraticSurface, TriMesh, edges_of, face_shape_functions, quadratic_faces
 from gelsim.scene.definition import Body, Gel, Scene
 from gelsim.scene.shape_table import SHAPES
-from gelsim.shape.mesh_file import read_surface
+from gelsim.shape.mesh_file import file_stamp, read_part
+from gelsim.shape.orientation import about, is_reoriented, orientation
 from gelsim.shape.outlines import PLANES, Profile, bore, profile, sides, underside
 from gelsim.shape.solids import (
     HULL_STEP,
@@ -43,6 +46,10 @@ from gelsim.units import DEG, MM
 
 _FINE = 0.25e-3
 """Edge length of a rigid surface in the contact [m]: its six-node faces lie within 20 nm of a ball of 5 mm (test_shapes.py)."""
+STEEP = 45.0
+"""Tilt [degrees] from which on a rigid object's base may touch, and its apex is not what the gel meets."""
+LARGE, NEAR = 100.0 * MM, 10.0 * MM
+"""Extent [m] of a rigid object of a file from which on only faces over the gel are kept, and how near these are to it."""
 
 
 # ---------------------------------------------------------------------------------------------------------------- solids
@@ -53,7 +60,8 @@ def of_file(body: Body) -> bool:
 
 def shape_symmetry(body: Body) -> frozenset[str]:
     """Mirror planes of the object in its own frame: "x" is the plane x = 0."""
-    return frozenset() if body.grains.count and not body.rigid else frozenset(SHAPES[body.shape].mirror)
+    none = (body.grains.count and not body.rigid) or is_reoriented(body)
+    return frozenset() if none else frozenset(SHAPES[body.shape].mirror)
 
 
 def press_symmetry(scene: Scene) -> frozenset[str]:
@@ -199,17 +207,37 @@ def _polyhedron(planes: list[Patch]) -> Array:
 
 # ---------------------------------------------------------------------------------------------------------------- surfaces
 def load_mesh(body: Body) -> TriMesh:
-    """The surface of shape = "mesh", lowest point at the origin [m]; raises SceneError for a file that is no solid."""
-    if not body.mesh:
-        raise SceneError('object.mesh is missing: shape = "mesh" needs an STL, OBJ or PLY file')
-    return read_surface(body.mesh, body.mesh_unit)[0]
+    """The surface of shape = "mesh", lowest point at the origin [m]; raises SceneError for a file that bounds no body."""
+    return read_part(body).surface
+
+
+@lru_cache(maxsize=16)
+def own_frame(body: Body) -> tuple[Array, Array]:
+    """From the frame of a shape to how it stands, its lowest point at the origin: R (3, 3), t (3,) [m] of p' = R p + t."""
+    turn = orientation(body)
+    if not is_reoriented(body):
+        return turn, np.zeros(3)
+    upright = _upright(body)
+    surface = object_surface(upright, edge_length=np.inf)
+    for _ in range(2):  # the second time with edges of 20 µm around what was found
+        heights = surface.vertices @ turn[2]
+        lowest = surface.vertices[heights <= heights.min() + 1e-7]
+        around = lowest[0]
+        surface = object_surface(upright, edge_length=lambda points, p=around: 2e-5 + 0.3 * np.linalg.norm(points - p, axis=1))
+    heights = surface.vertices @ turn[2]
+    tip = surface.vertices[heights <= heights.min() + 1e-7] @ turn.T
+    return turn, -np.array([*(tip.min(axis=0) + tip.max(axis=0))[:2] / 2, heights.min()])
+
+
+def _upright(body: Body) -> Body:
+    return replace(body, press_side="bottom", rotation_deg=(0.0, 0.0, 0.0))
 
 
 def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-5, symmetry: frozenset[str] = frozenset()) -> TriMesh:
-    """A watertight, outward surface of the object in its own frame.
+    """A watertight, outward surface of the object in its own frame, as it stands.
 
     Args:
-        edge_length: Longest edge allowed [m], a number or a function of points (N, 3). A `mesh` shape keeps its facets.
+        edge_length: Longest edge allowed [m], a number or a function of points (N, 3) of its shape. A `mesh` shape keeps its facets.
         chord: Largest distance allowed between an edge and the exact shape [m].
         symmetry: Mirror planes of the shape; only the positive side is returned, closed by the planes.
     Raises:
@@ -218,53 +246,86 @@ def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-
     if of_file(body):
         assert not symmetry
         return load_mesh(body)
-    vertices, faces, _ = solid_surface(solid(body, symmetry), edge_length, chord)
+    vertices, faces, _ = solid_surface(solid(_upright(body), symmetry), edge_length, chord)
+    if is_reoriented(body):
+        turn, shift = own_frame(body)
+        vertices = vertices @ turn.T + shift
     return TriMesh(vertices, faces)
 
 
 def sharp_edges(body: Body, least_deg: float = 30.0) -> Array:
-    """Sharp convex edges of the object as straight pieces, (K, 2, 3) [m], within 10 µm of a curved one; those of its base are left out.
+    """Sharp convex edges of the object as straight pieces, (K, 2, 3) [m], within 10 µm of a curved one; those at its top are left out.
 
-    An edge is sharp where the surface turns by more than `least_deg`.
+    An edge is sharp where the surface turns by more than `least_deg`, or where four faces or more share it.
     """
     surface = object_surface(body, edge_length=np.inf, chord=np.inf if of_file(body) else 1e-5)
     edges, index = edges_of(surface.faces, FACE_EDGES)
     corners = surface.vertices[surface.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    order = np.argsort(index.ravel(), kind="stable")  # a closed surface: two faces an edge
-    one, two = (np.arange(len(surface.faces)).repeat(3)[order].reshape(-1, 2)).T
+    order = np.argsort(index.ravel(), kind="stable")
+    uses = np.bincount(index.ravel(), minlength=len(edges))
+    owners = np.arange(len(surface.faces)).repeat(3)[order]
+    first = np.cumsum(uses) - uses
+    one, two = owners[first], owners[first + np.minimum(uses, 2) - 1]  # a closed surface: two faces an edge, or an even number
     sharp = (normal[one] * normal[two]).sum(axis=1) < np.cos(least_deg * DEG)
     convex = ((corners[two].mean(axis=1) - corners[one].mean(axis=1)) * normal[one]).sum(axis=1) < 0.0
     top = surface.vertices[:, 2].max() * (1 - 1e-6)
     low = (surface.vertices[edges][:, :, 2] < top).any(axis=1)
-    return surface.vertices[edges[sharp & convex & low]]
+    return surface.vertices[edges[((sharp & convex) | (uses > 2)) & low]]
 
 
 def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:
     """Six-node faces of a rigid object in its own frame, mid-side nodes on the exact shape; the base and the cut planes are left out.
 
     Edges are 0.25 mm up to 1.5 times the depth of the press, and grow by half a millimetre per millimetre above that and by a tenth beyond
-    4 mm from the axis. A `mesh` shape keeps its facets.
+    4 mm from the axis. Of one that is turned, or tilted by more than STEEP, the base is there too, and edges are short about what is lowest
+    then. A `mesh` shape keeps its facets; of a larger one than LARGE only those near the gel are there.
     """
     body = scene.object
-    if of_file(body):
-        surface = load_mesh(body)
-        return quadratic_faces(surface.vertices, surface.faces)
-    return _exact_surface(body, press_depth(scene), symmetry)
+    if not of_file(body):
+        steep = max(map(abs, scene.press.tilt_deg)) > STEEP
+        return _exact_surface(body, press_depth(scene), symmetry, scene.press.tilt_deg if steep else None)
+    surface = load_mesh(body)
+    if np.ptp(surface.vertices, axis=0).max() > LARGE:
+        surface = near_gel(scene, surface)
+    return quadratic_faces(surface.vertices, surface.faces)
+
+
+def near_gel(scene: Scene, surface: TriMesh) -> TriMesh:
+    """Those of an object's faces that may come within NEAR of the gel."""
+    press = scene.press
+    turn, shift = placement(scene, quadratic_faces(surface.vertices, surface.faces))
+    corners = (surface.vertices @ turn.T + shift)[surface.faces]
+    travel = np.array([*np.abs(press.shear_mm), 0.0]) * MM
+    half = np.array([*scene.gel.size_mm, 0.0]) * MM / 2 + travel
+    if press.twist_deg:
+        half[:2] = np.hypot(*(half[:2] + np.abs(shift[:2])))
+    high = half + [0.0, 0.0, furthest_approach(scene)] + NEAR
+    kept = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= -half - NEAR)[:, :2].all(axis=1)
+    used, faces = np.unique(surface.faces[kept], return_inverse=True)
+    return TriMesh(surface.vertices[used], faces.reshape(-1, 3).astype(np.int32))
 
 
 @lru_cache(maxsize=2)
-def _exact_surface(body: Body, depth: float, symmetry: frozenset[str]) -> QuadraticSurface:
-    """`rigid_surface` of other shapes, for a press of a depth [m]: a press needs it for both meshes."""
-    shape = solid(body, symmetry)
+def _exact_surface(body: Body, depth: float, symmetry: frozenset[str], tilt_deg: tuple[float, float] | None) -> QuadraticSurface:
+    """`rigid_surface` of other shapes, for a press of a depth [m]: a press needs it for both meshes. `tilt_deg` None: no steep one."""
+    shape = solid(_upright(body), symmetry)
+    turn, moved = own_frame(body)
+    whole = tilt_deg is not None or is_reoriented(body)
+    lowered, apex = np.eye(3), np.zeros(3)
+    if whole:
+        lowered = tilted(tilt_deg or (0.0, 0.0)) @ turn
+        ends = object_surface(_upright(body), edge_length=np.inf).vertices
+        apex = ends[(ends @ lowered[2]).argmin()]
 
     def sizes(points: Array) -> Array:
-        above, aside = points[:, 2] - 1.5 * depth, np.hypot(points[:, 0], points[:, 1]) - 4.0 * MM
+        from_apex = (points - apex) @ lowered.T
+        above, aside = from_apex[:, 2] - 1.5 * depth, np.hypot(from_apex[:, 0], from_apex[:, 1]) - 4.0 * MM
         return _FINE + 0.5 * np.maximum(above, 0.0) + 0.1 * np.maximum(aside, 0.0)
 
     vertices, faces, patch = solid_surface(shape, sizes, np.inf)
-    contact = np.array([role == "contact" for role in shape.roles])[patch]
+    contact = np.array([role == "contact" or (whole and role == "base") for role in shape.roles])[patch]
     faces, patch = faces[contact], patch[contact]
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3)
@@ -278,7 +339,8 @@ def _exact_surface(body: Body, depth: float, symmetry: frozenset[str]) -> Quadra
             member[:, column] = (vertices[ends][:, :, AXES[role]] == 0.0).all(axis=1)
     middle = snap(shape.patches, surface.nodes[len(vertices) :], member)
     zero_cuts(shape, middle, member)
-    return QuadraticSurface(np.vstack([vertices, middle]), surface.faces)
+    nodes = np.vstack([vertices, middle])
+    return QuadraticSurface(nodes @ turn.T + moved if is_reoriented(body) else nodes, surface.faces)
 
 
 def project(body: Body, points: Array) -> Array:
@@ -286,7 +348,7 @@ def project(body: Body, points: Array) -> Array:
     if of_file(body):
         return points.copy()
     row = SHAPES[body.shape]
-    assert not bore(body) and not row.relief, "of these only the patches are known"
+    assert not bore(body) and not row.relief and not is_reoriented(body), "of these only the patches are known"
     if row.made == "planes":
         return project_polyhedron(solid(body), points)
     h = body.height_mm * MM
@@ -312,6 +374,9 @@ def has_profile(body: Body) -> bool:
 
 def signed_distance(body: Body, points: Array) -> Array:
     """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside; a hollow within counts as filled."""
+    if is_reoriented(body):
+        turn, shift = own_frame(body)
+        points = (points - shift) @ turn
     h = body.height_mm * MM
     segments = profile(body)
     segments = (*segments, Segment(segments[-1].end, (0.0, h)))
@@ -359,24 +424,56 @@ def gel_height(gel: Gel, xy: Array) -> Array:
 
 def rotation(scene: Scene) -> Array:
     """The object's tilt, (3, 3): about x, then about y."""
-    a, b = np.array(scene.press.tilt_deg) * DEG
-    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-    return about_y @ about_x
+    return tilted(scene.press.tilt_deg)
+
+
+def tilted(tilt_deg: tuple[float, float]) -> Array:
+    """The turn about x, then about y, (3, 3)."""
+    return about(1, tilt_deg[1]) @ about(0, tilt_deg[0])
+
+
+@lru_cache(maxsize=4)
+def _first_touch(scene: Scene, stamp: tuple[int, ...]) -> tuple[QuadraticSurface, Array, Array]:
+    surface = rigid_surface(scene, frozenset())
+    return surface, *placement(scene, surface)
+
+
+def first_touch(scene: Scene) -> tuple[QuadraticSurface, Array, Array]:
+    """The object's surface, as if it were rigid, and its `placement` on the gel."""
+    return _first_touch(scene, file_stamp(scene.object))
 
 
 def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
     """Where the object just touches the undeformed gel: positions = R p + t, R (3, 3), t (3,) [m].
 
     R is the tilt about the apex, t the offset and the height at which the smallest gap between the object's six-node faces and the gel's
-    outer face is 0 (to 0.01 µm; sought between the nodes too). Only what lies over the gel counts.
+    outer face is 0 (to 0.01 µm; sought between the nodes too). Only what lies over the gel counts. The offset is the apex's, or with
+    press.touch_at = "centre" that of the middle of what touches first.
 
     Raises:
         SceneError: No part of the object lies over the gel.
     """
-    turn = rotation(scene)
-    shift = np.array([*scene.press.offset_mm, 0.0]) * MM
-    nodes = surface.nodes @ turn.T + shift
+    turn, shift = rotation(scene), np.array([*scene.press.offset_mm, 0.0]) * MM
+    if scene.press.touch_at == "apex":
+        return turn, _lowered(scene, surface.nodes @ turn.T, surface.faces, shift)[0]
+    # A dome may touch elsewhere once the object is moved: a few looks find where both agree.
+    free = np.array([axis not in press_symmetry(scene) for axis in "xy"])
+    wanted, nodes = shift[:2].copy(), surface.nodes @ turn.T
+    lowest = nodes[nodes[:, 2] <= nodes[:, 2].min() + 1e-6]
+    shift[:2] -= np.where(free, (lowest.min(axis=0) + lowest.max(axis=0))[:2] / 2, 0.0)
+    for _ in range(8):
+        shift, touched = _lowered(scene, nodes, surface.faces, shift)
+        away = np.where(free, touched - wanted, 0.0)
+        if np.linalg.norm(away) < 0.01 * MM:
+            break
+        shift[:2] -= away
+    return turn, _lowered(scene, nodes, surface.faces, shift)[0]
+
+
+def _lowered(scene: Scene, turned: Array, numbers: np.ndarray, shift: Array) -> tuple[Array, Array]:
+    """The shift with the height at which nodes (N, 3) of six-node faces just touch the gel, and the middle of what touches, (2,) [m]."""
+    shift = np.array([*shift[:2], 0.0])
+    nodes = turned + shift
     half = np.array(scene.gel.size_mm) * MM / 2 * (1 + 1e-9)
 
     def gap(points: Array) -> Array:
@@ -384,7 +481,8 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
         flat = points.reshape(-1, 3)
         return np.where(over, (flat[:, 2] - gel_height(scene.gel, flat[:, :2])).reshape(over.shape), np.inf)
 
-    at_nodes = gap(nodes)[surface.faces]
+    heights = gap(nodes)
+    at_nodes = heights[numbers]
     low = at_nodes.min(axis=1)
     best = low.min()
     if not np.isfinite(best):
@@ -394,7 +492,7 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
         )
     # Between its nodes a quadratic face can dip below the lowest of them by at most the spread of its nodes; look where it could matter.
     over = np.isfinite(low)
-    at_nodes, low, faces = at_nodes[over], low[over], surface.faces[over]
+    at_nodes, low, faces = at_nodes[over], low[over], numbers[over]
     spread = np.where(np.isfinite(at_nodes), at_nodes, low[:, None]).max(axis=1) - low
     near = np.flatnonzero(low - spread <= best)
     faces = faces[near[np.argsort(low[near])[:2000]]]
@@ -417,4 +515,5 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
         if stay.any() and not stay.all():
             faces, centre = faces[stay], centre[stay]
     shift[2] = -best
-    return turn, shift
+    touched = nodes[heights <= heights.min() + 1e-6, :2]
+    return shift, (touched.min(axis=0) + touched.max(axis=0)) / 2

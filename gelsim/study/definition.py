@@ -12,6 +12,7 @@ import importlib
 import itertools
 import math
 import types
+import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from gelsim.errors import SceneError
+from gelsim.errors import SceneError, within
 from gelsim.scene.distributions import check_fields, field_kind
 from gelsim.scene.fields import nearest
 from gelsim.scene.layers import Layer, anchored, from_folder, nested, read_layer, read_toml
+from gelsim.shape.mesh_file import check_file
 from gelsim.study import STUDIES
 from gelsim.study.metrics import METRICS
 from gelsim.work.ledger import Row
@@ -164,9 +166,14 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     if not isinstance(base, dict):
         raise SceneError(f"{where}: scene = {base!r}: expected a table as in a scene file, or the path of one")
     axes = {
-        name: values if isinstance(values, Mapping) else [from_folder(name, value, path.parent) for value in values]
+        name: values if isinstance(values, Mapping) else [from_folder(name, value, path.parent.resolve()) for value in values]
         for name, values in axes.items()
     }
+    base = anchored(base, path.parent.resolve())
+    meshes = axes.get("object.mesh", [base["object"]["mesh"]] if "mesh" in base.get("object", {}) else [])
+    for mesh in meshes:
+        with within(where):
+            check_file(base.get("object", {}) | ({"rigid": None} if "object.rigid" in axes else {}) | {"mesh": mesh})
     return Study(
         name=path.stem,
         question=table["question"],
@@ -174,7 +181,7 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
         metrics=tuple(table["metrics"]),
         x=x,
         colour=colour,
-        base=anchored(base, path.parent),
+        base=base,
         cases=cases,
         seed=int(table.get("seed", 0)),
     )
@@ -195,6 +202,10 @@ def check_axis(where: str, name: str, values: Any) -> Any:
         check_fields({name: values}, table)
         of_field = field_kind(name, where)
         if float not in (of_field.__args__ if isinstance(of_field, types.UnionType) else (of_field,)):
+            if typing.get_origin(of_field) is tuple:
+                parts = typing.get_args(of_field)
+                said = "is a list" if Ellipsis in parts else {2: "is a pair", 3: "is a triple"}[len(parts)] + " of numbers"
+                raise SceneError(f"{where}: {said}, so it has no range; gelsim study takes a list of its values")
             raise SceneError(f"{where}: takes no fractions, so it has no range; gelsim study takes a list of its values")
         return values
     if not isinstance(values, list) or not values:

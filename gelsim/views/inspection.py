@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +11,21 @@ import numpy as np
 
 from gelsim.data.episodes import load_dataset
 from gelsim.errors import SceneError
-from gelsim.geometry import TriMesh
+from gelsim.geometry import FACE_EDGES, edges_of, enclosed_volume
 from gelsim.pipeline.outputs import plain_json, read_press
 from gelsim.results import Deformation
-from gelsim.scene.definition import Scene
+from gelsim.scene.definition import Body, Scene
 from gelsim.scene.layers import load_scene
-from gelsim.shape.mesh_file import compare_bodies
-from gelsim.units import KPA, MESH_UNITS, MM
-
-MESH_SUFFIXES = (".stl", ".obj", ".ply")
+from gelsim.scene.limits import MESH_SUFFIXES
+from gelsim.shape.mesh_file import bodies_of, compare_bodies, read_part
+from gelsim.units import KPA, MM
 
 
 def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
     """The facts about a path, as plain values.
 
     Args:
-        path: A result folder, a dataset, a press.npz, or an STL, OBJ or PLY file.
+        path: A result folder, a dataset, a press.npz, or an STL, OBJ, PLY, OFF or GLB file.
         mesh_unit: What a mesh file's numbers are in.
     Raises:
         SceneError: It does not exist, or is none of these.
@@ -50,7 +50,7 @@ def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
         raise SceneError(f"{path}: there is no such file or folder")
     else:
         hint = "; a sensor file goes with --sensor" if path.suffix == ".toml" else ""
-        raise SceneError(f"{path}: is none of what inspect reads: a result folder, a press.npz, an STL, OBJ or PLY file{hint}")
+        raise SceneError(f"{path}: is none of what inspect reads: a result folder, a press.npz, an STL, OBJ, PLY, OFF or GLB file{hint}")
     plain = plain_json({"path": str(path)} | facts)
     assert isinstance(plain, dict)
     return plain
@@ -99,8 +99,8 @@ def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
         draw_dataset(out, load_dataset(path))
         return
     if path.suffix.lower() in MESH_SUFFIXES:
-        mesh = _load_mesh(path)
-        sheet.draw_surface(out, np.asarray(mesh.vertices) * MESH_UNITS[mesh_unit], np.asarray(mesh.faces), path.name)
+        surface = read_part(Body(shape="mesh", mesh=str(path), mesh_unit=mesh_unit, rigid=True)).surface
+        sheet.draw_surface(out, surface.vertices, surface.faces.astype(np.int64), path.name)
         return
     folder = path if path.is_dir() else path.parent
     scene = load_scene(folder / "scene.toml") if (folder / "scene.toml").exists() else Scene()
@@ -149,39 +149,36 @@ def _press_facts(press: Deformation) -> dict[str, Any]:
     }
 
 
-def _load_mesh(path: Path) -> Any:
-    import trimesh
-
-    try:
-        return trimesh.load_mesh(str(path))
-    except Exception as error:  # the readers of trimesh raise whatever they stumble on
-        raise SceneError(f"{path}: cannot be read as a mesh ({error})") from None
-
-
 def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
-    mesh = _load_mesh(path)
-    if not len(getattr(mesh, "faces", ())):
-        raise SceneError(f"{path}: holds no triangles")
-    scale = MESH_UNITS[unit] / MM
-    edges, uses = np.unique(np.sort(np.asarray(mesh.edges), axis=1), axis=0, return_counts=True)
-    outward = bool(mesh.is_winding_consistent and mesh.volume > 0)
-    told = compare_bodies(TriMesh(mesh.vertices * scale * MM, mesh.faces)) if mesh.is_watertight and outward else None
-    notes = list(told.faults) if told else []
-    if told and told.shared:
-        notes.append(f"bodies overlap, they are joined: the sum of their volumes is {told.shared / MM**3:.3g} mm³ more")
+    """What a press would make of the file: as it is read for a rigid object, and whether a soft one can be made of it."""
+    rigid = Body(shape="mesh", mesh=str(path), mesh_unit=unit, rigid=True)
+    part = read_part(rigid)
+    surface = part.surface
+    try:
+        read_part(replace(rigid, rigid=False, shore_00=30.0))
+        soft = "ok"
+    except SceneError as error:
+        soft = str(error)
+    told = compare_bodies(surface)
+    if told and told.faults and soft == "ok":  # as gelsim.mesh refuses it
+        soft = f"no: {told.faults[0]}"
+    edges, _ = edges_of(surface.faces, FACE_EDGES)
+    lengths = np.linalg.norm(np.diff(surface.vertices[edges], axis=1)[:, 0], axis=1)
     return {
         "unit": unit,
-        "vertices": len(mesh.vertices),
-        "triangles": len(mesh.faces),
-        "size_mm": np.asarray(mesh.extents) * scale,
-        "lowest_point_mm": np.asarray(mesh.vertices)[np.argmin(mesh.vertices[:, 2])] * scale,
-        "watertight": bool(mesh.is_watertight),
-        "open_edges": int((uses == 1).sum()),
-        "outward": outward,
-        "volume_mm3": told.volume / MM**3 if told else float(mesh.volume) * scale**3,
-        "bodies": int(mesh.body_count),
-        **({"notes": notes} if notes else {}),
-        "edge_lengths_mm": np.percentile(np.asarray(mesh.edges_unique_length), [0, 50, 100]) * scale,
+        "vertices": len(surface.vertices),
+        "triangles": part.done["file_faces"],
+        "size_mm": np.ptp(surface.vertices, axis=0) / MM,
+        "lowest_point_mm": part.done["apex_mm"],
+        "watertight": not part.done["open_edges"],
+        "open_edges": part.done["open_edges"],
+        "outward": not {"turned_inside_out", "reoriented"} & set(part.done),
+        "rigid": "ok",
+        "soft": soft,
+        "volume_mm3": (told.volume if told else enclosed_volume(surface)) / MM**3,
+        "bodies": len(bodies_of(surface)),
+        **({"notes": part.notes} if part.notes else {}),
+        "edge_lengths_mm": np.percentile(lengths, [0, 50, 100]) / MM,
     }
 
 

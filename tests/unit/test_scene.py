@@ -152,7 +152,7 @@ BAD = {
     "dome thicker at its edge": ("[gel]\nedge_thickness_mm = 3", "gel.edge_thickness_mm = 3 mm"),
     "markers overlap": ("[markers]\nradius_mm = 0.7", "markers overlap"),
     "mesh without a file": ('[object]\nshape = "mesh"', "object.mesh is missing"),
-    "file without mesh": ('[object]\nmesh = "a.stl"', 'say shape = "mesh"'),
+    "file without mesh": ('[object]\nshape = "box"\nmesh = "a.stl"', 'say shape = "mesh"'),
     "preset": ('[sensor]\npreset = "fingertip2018"', "did you mean 'fingertip2017'"),
     "infinite light": ("[[lights.lights]]\npower = inf", "lights.lights.power = inf: expected a finite number"),
     "far light": ("[[lights.lights]]\nposition_mm = [0, 0, -1e9]", "lights.lights.position_mm = 0 0 -1e+09 mm: allowed is -1000"),

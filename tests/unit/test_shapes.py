@@ -316,12 +316,12 @@ def test_frustum_angle_is_bounded() -> None:
 
 # ---------------------------------------------------------------------------------------------------------------- files
 def part(tmp_path: Path, mesh: trimesh.Trimesh, kind: str = "stl") -> str:
-    path = tmp_path / f"part.{kind}"
-    mesh.export(path)
+    path = tmp_path / f"part.{kind.split('_')[0]}"
+    mesh.export(path, file_type=kind)
     return str(path)
 
 
-@pytest.mark.parametrize("kind", ["stl", "obj", "ply"])
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj", "ply", "off", "glb"])
 def test_a_file_lands_with_its_lowest_point_at_the_origin(tmp_path: Path, kind: str) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=4.0)
     mesh.apply_translation([30.0, -20.0, 7.0])
@@ -346,11 +346,11 @@ def test_what_is_no_solid(tmp_path: Path) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=4.0)
     mesh.update_faces(np.arange(len(mesh.faces)) > 0)
     cases = {
-        "not watertight": part(tmp_path, mesh),
+        "is not closed": part(tmp_path, mesh),
         "cannot be read": str(tmp_path / "missing.stl"),
-        "no STL, OBJ or PLY": str(tmp_path / "part.blend"),
+        "no STL, OBJ, PLY, OFF or GLB": str(tmp_path / "part.blend"),
     }
-    Path(cases["no STL, OBJ or PLY"]).write_bytes(b"x")
+    Path(cases["no STL, OBJ, PLY, OFF or GLB"]).write_bytes(b"x")
     (tmp_path / "noise.ply").write_bytes(b"\x00\x01 not a mesh")
     cases["cannot be read as PLY"] = str(tmp_path / "noise.ply")
     for message, path in cases.items():
