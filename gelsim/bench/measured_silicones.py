@@ -62,7 +62,7 @@ def platen_curve(friction: float | str, ratio: float) -> tuple[Array, Array]:
     depth = _LAST * HEIGHT_MM / 2
     scene = Scene(
         gel=Gel(profile="flat", youngs_modulus_kpa=100.0, size_mm=(60.0, 60.0), thickness_mm=HEIGHT_MM / 2),
-        object=Body(shape="flat", rigid=True),
+        object=Body(shape="flat", rigid=True, width_mm=4 * RADIUS_MM, length_mm=4 * RADIUS_MM),
         contact=Contact(friction_coefficient=friction),
         press=Press(depth_mm=depth, force_n=None, frames=1 + round(_LAST / _STEP)),
         fidelity="balanced",

@@ -11,7 +11,7 @@ gain. So nothing is asked of the lights but what a press changes: a membrane at 
 Even and painted are told apart by size: B is a high percentile of the levels over windows of an EVENth of the picture's width, smoothed
 (docs/decisions/0005-rest-measured.md). Where a pixel sees no gel the photograph stays. Left out: fine dirt on the lens, which moves as if
 it were painted; a pixel's even light where the lights were changed after the photograph (`relight`): only the change then has the new
-lights. """
+lights."""
 
 from __future__ import annotations
 

@@ -241,9 +241,9 @@ def test_a_turned_soft_part_is_held_below_its_farthest_point(tmp_path: Path) -> 
     top = part.surface.vertices[:, 2].max()
     assert top == pytest.approx(9 * MM, rel=2e-3) and part.done["held_at_share_of_height"] == 0.9
     base = mesh_object(Scene(object=body, fidelity="fast", press=Press(depth_mm=0.3))).surface("base").nodes
-    assert np.median(base[:, 2]) == pytest.approx(top, abs=1e-5) and np.ptp(base[:, 0]) == pytest.approx(
-        2 * np.sqrt(25 - 16) * MM, rel=0.02
-    )
+    assert np.median(base[:, 2]) == pytest.approx(top, abs=1e-5)
+    # the cut is a disc of 3 mm radius; what faces up in the top 2 % of the height is held too, and reaches farther out
+    assert 2 * 0.98 * np.sqrt(25 - 16) * MM < np.ptp(base[:, 0]) < 2 * np.sqrt(25 - (0.98 * 9 - 5) ** 2) * MM
     with pytest.raises(SceneError, match=r"object.press_side = left: a soft cylinder cannot be turned yet; allowed with rigid = true"):
         Scene(object=Body(press_side="left"))
 
