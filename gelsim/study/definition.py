@@ -166,10 +166,10 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     if not isinstance(base, dict):
         raise SceneError(f"{where}: scene = {base!r}: expected a table as in a scene file, or the path of one")
     axes = {
-        name: values if isinstance(values, Mapping) else [from_folder(name, value, path.parent.resolve()) for value in values]
+        name: values if isinstance(values, Mapping) else [from_folder(name, value, path.parent) for value in values]
         for name, values in axes.items()
     }
-    base = anchored(base, path.parent.resolve())
+    base = anchored(base, path.parent)
     meshes = axes.get("object.mesh", [base["object"]["mesh"]] if "mesh" in base.get("object", {}) else [])
     for mesh in meshes:
         with within(where):

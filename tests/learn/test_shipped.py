@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gelsim.cli import main as gelsim
+from gelsim.cli.main import main as gelsim
 from gelsim.data.episodes import gel_facts, load_dataset
 from gelsim.generate.plan import Catalogue, load_plan
 from learn.checkpoint import load
