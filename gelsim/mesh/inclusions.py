@@ -19,7 +19,7 @@ from gelsim.scene.definition import Body
 from gelsim.scene.materials import parts
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.outlines import profile, sides
-from gelsim.shape.shapes import coarse_surface, hull_points, runs, solid
+from gelsim.shape.shapes import closed, coarse_surface, hull_points, runs, solid
 from gelsim.shape.solids import HULL_STEP, Array, Ball, Patch, Plane, Segment, Solid, patch_distances, solid_surface
 from gelsim.units import MM
 
@@ -69,15 +69,10 @@ def flesh(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
     if row.drawn:
         inner = replace(body, length_mm=length / MM)
         patches += [Plane((0.0, y, 0.0), length / 2) for y in (1.0, *(() if "y" in symmetry else (-1.0,)))]
-    roles = ["contact"] * len(patches)
-    patches.append(Plane((0.0, 0.0, 1.0), body.height_mm * MM))
-    roles.append("base")
-    for axis in sorted(symmetry):
-        patches.append(Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0))
-        roles.append(axis)
+    closed_patches, roles = closed(patches, body, symmetry)
     if row.convex:
-        return Solid(tuple(patches), tuple(roles), hull_points(segments, inner, symmetry, step))
-    return Solid(tuple(patches), tuple(roles), *coarse_surface(segments, (), inner, symmetry, step))
+        return Solid(closed_patches, roles, hull_points(segments, inner, symmetry, step))
+    return Solid(closed_patches, roles, *coarse_surface(segments, (), inner, symmetry, step))
 
 
 def _moved_inward(segments: tuple[Segment, ...], by: float) -> tuple[Segment, ...]:

@@ -12,6 +12,7 @@ Left out: fillets on the sharp rims (a real cast has 0.1 mm or so).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
@@ -100,13 +101,15 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
         if row.drawn:
             half = sides(body)[1]
             patches += [Plane((0.0, y, 0.0), half) for y in (1.0, *(() if "y" in symmetry else (-1.0,)))]
-    roles = ["contact"] * len(patches)
-    patches.append(Plane((0.0, 0.0, 1.0), body.height_mm * MM))
-    roles.append("base")
-    for axis in sorted(symmetry):
-        patches.append(Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0))
-        roles.append(axis)
-    return Solid(tuple(patches), tuple(roles), _polyhedron(patches) if hull is None else hull, faces)
+    whole, roles = closed(patches, body, symmetry)
+    return Solid(whole, roles, _polyhedron(whole) if hull is None else hull, faces)
+
+
+def closed(contact: list[Patch], body: Body, symmetry: frozenset[str]) -> tuple[tuple[Patch, ...], tuple[str, ...]]:
+    """Patches that may touch, the base and the planes of `symmetry`; and the role of each."""
+    cuts = [Plane((-1.0, 0.0, 0.0) if axis == "x" else (0.0, -1.0, 0.0), 0.0) for axis in sorted(symmetry)]
+    roles = (*["contact"] * len(contact), "base", *sorted(symmetry))
+    return (*contact, Plane((0.0, 0.0, 1.0), body.height_mm * MM), *cuts), roles
 
 
 def coarse_surface(segments: Profile, hollow: Profile, body: Body, symmetry: frozenset[str], step: float) -> tuple[Array, np.ndarray]:
@@ -188,7 +191,7 @@ def hull_points(segments: Profile, body: Body, symmetry: frozenset[str], step: f
     return np.vstack([*rings, np.array(axis).reshape(-1, 3)])
 
 
-def _polyhedron(planes: list[Patch]) -> Array:
+def _polyhedron(planes: Sequence[Patch]) -> Array:
     """Corners of the convex body below all the planes."""
     normals = np.array([p.normal for p in planes if isinstance(p, Plane)])
     offsets = np.array([p.offset for p in planes if isinstance(p, Plane)])
@@ -351,9 +354,7 @@ def project(body: Body, points: Array) -> Array:
     assert not bore(body) and not row.relief and not is_reoriented(body), "of these only the patches are known"
     if row.made == "planes":
         return project_polyhedron(solid(body), points)
-    h = body.height_mm * MM
-    segments = profile(body)
-    boundary = Sweep((*segments, Segment(segments[-1].end, (0.0, h))), row.turned)
+    boundary = Sweep(_closed_outline(body), row.turned)
     if row.turned:
         return boundary.project(points)
     half = sides(body)[1]
@@ -367,6 +368,12 @@ def project(body: Body, points: Array) -> Array:
     return np.where(nearer[:, None], end, side)
 
 
+def _closed_outline(body: Body) -> Profile:
+    """The profile and the base, from the axis back to it."""
+    segments = profile(body)
+    return *segments, Segment(segments[-1].end, (0.0, body.height_mm * MM))
+
+
 def has_profile(body: Body) -> bool:
     """Whether the object is a profile that is turned or drawn, whose distance is known in closed form (`signed_distance`)."""
     return SHAPES[body.shape].turned or SHAPES[body.shape].drawn
@@ -377,9 +384,7 @@ def signed_distance(body: Body, points: Array) -> Array:
     if is_reoriented(body):
         turn, shift = own_frame(body)
         points = (points - shift) @ turn
-    h = body.height_mm * MM
-    segments = profile(body)
-    segments = (*segments, Segment(segments[-1].end, (0.0, h)))
+    segments = _closed_outline(body)
     across = np.hypot(points[:, 0], points[:, 1]) if SHAPES[body.shape].turned else np.abs(points[:, 0])
     flat = np.stack([across, points[:, 2]], axis=1)
     away = np.min([np.linalg.norm(segment.project(flat)[0] - flat, axis=1) for segment in segments], axis=0)

@@ -269,6 +269,12 @@ def membership(faces: NDArray[np.int32], face_patch: NDArray[np.int64], vertex_c
     return member
 
 
+def _split_longest_first(split: NDArray[np.bool_], index: NDArray[np.integer], longest: NDArray[np.integer]) -> None:
+    """Marks also the longest edge of every face (its edges `index` (F, 3)) of which another is to be split, until no more are marked."""
+    while (more := split[index].any(axis=1) & ~split[longest]).any():
+        split[longest[more]] = True
+
+
 def solid_surface(shape: Solid, edge_length: Sizes | float, chord: Sizes | float) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:
     """Vertices, outward faces and the patch of each face; edges at most `edge_length` long and `chord` from the exact shape [m]."""
     vertices, faces = (shape.hull, shape.faces) if shape.faces is not None else _hull(shape.hull)
@@ -289,11 +295,7 @@ def solid_surface(shape: Solid, edge_length: Sizes | float, chord: Sizes | float
             return vertices, faces, patch
         # A face may only be cut through its longest edge first; the index breaks ties the same way on both sides of an edge.
         longest = index[np.arange(len(faces)), np.lexsort((index, length[index]), axis=1)[:, -1]]
-        while True:
-            more = split[index].any(axis=1) & ~split[longest]
-            if not more.any():
-                break
-            split[longest[more]] = True
+        _split_longest_first(split, index, longest)
         number = np.full(len(edges), -1)
         number[split] = len(vertices) + np.arange(int(split.sum()))
         vertices = np.vstack([vertices, middle[split]])
@@ -419,11 +421,7 @@ def refine(vertices: Array, faces: NDArray[np.int32], sizes: Sizes, arcs: Sequen
             return vertices, faces
         # the longest edge goes first; the index breaks ties the same way on both sides
         longest = index[np.arange(len(faces)), np.lexsort((index, np.round(length[index] * 1e12)), axis=1)[:, -1]]
-        while True:
-            more = split[index].any(axis=1) & ~split[longest]
-            if not more.any():
-                break
-            split[longest[more]] = True
+        _split_longest_first(split, index, longest)
         number = np.full(len(edges), -1)
         number[split] = len(vertices) + np.arange(int(split.sum()))
         vertices = np.vstack([vertices, middle[split]])
