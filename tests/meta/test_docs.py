@@ -74,4 +74,4 @@ def test_every_study_has_its_section_and_its_quick_form_is_run() -> None:
 def test_the_readme_points_at_what_there_is() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     told = re.findall(r"\]\(([^)#:]+)\)", text) + re.findall(r"`(docs/[\w./]+)`", text)
-    assert len(told) > 10 and [target for target in told if not (ROOT / target).exists()] == []
+    assert len(told) > 4 and [target for target in told if not (ROOT / target).exists()] == []
