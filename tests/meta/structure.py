@@ -71,13 +71,13 @@ def between_rooms(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
 
 
 def picture(root: Path = ROOT) -> str:
-    """SVG of the rooms, each a row above the highest that it imports. Lines that longer ways imply are left out, and so are the entrances."""
-    between = between_rooms(arrows(root)) | {("learn", room(name)) for path in (root / "learn").glob("*.py") for name in imports(path)
-                                             if name.startswith("gelsim.")}  # fmt: skip
-    entrances = {"__init__", "__main__"}
+    """SVG of the rooms, each a row above the highest that it imports, without the entrances and without lines that longer ways imply."""
+    graph = arrows(root) | {module_of(path, root): set(imports(path)) for path in (root / "learn").glob("*.py")}
+    learner = {(one, other) for one, others in graph.items() for other in others if one.startswith("learn") and other.startswith("gelsim.")}
+    inner = between_rooms({name: others for name, others in graph.items() if name.startswith("gelsim")})
     below: dict[str, set[str]] = {}
-    for one, other in between:
-        if not {one, other} & entrances:
+    for one, other in inner | {("learn", room(other)) for _, other in learner}:
+        if not {one, other} & {"__init__", "__main__"}:
             below.setdefault(one, set()).add(other)
             below.setdefault(other, set())
     reach: dict[str, set[str]] = {}
@@ -86,29 +86,29 @@ def picture(root: Path = ROOT) -> str:
         reach[name] = below[name].union(*(reach[other] for other in below[name]))
         row[name] = max((row[other] + 1 for other in below[name]), default=0)
     rows = [sorted(name for name in row if row[name] == number) for number in range(max(row.values()) + 1)]
-    wide, high, gap = 110, 30, 34
-    width = max(len(names) for names in rows) * (wide + 16) + 16
-    height = len(rows) * (high + gap) + 16
+    wide, high, gap, rim = 110, 30, 34, 16
+    width, height = max(len(names) for names in rows) * (wide + rim) + rim, len(rows) * (high + gap) + rim
     place: dict[str, tuple[float, int]] = {}
     for number, names in enumerate(rows):
         # above the middle of what it uses, so that lines are short
         names.sort(key=lambda name: (sum(place[other][0] for other in below[name]) / max(len(below[name]), 1), name))
-        step = width / len(names)
-        place |= {name: (step * (at + 0.5), height - 16 - high - number * (high + gap)) for at, name in enumerate(names)}
-    lines, boxes = [], []
-    for name in sorted(below):
-        x, y = place[name]
+        top = height - rim - high - number * (high + gap)
+        place |= {name: (width / len(names) * (at + 0.5), top) for at, name in enumerate(names)}
+    lines, boxes, words = [], [], []
+    for name, (x, y) in place.items():
+        boxes.append(f'<rect x="{x - wide / 2:.0f}" y="{y}" width="{wide}" height="{high}" rx="4"/>')
+        words.append(f'<text x="{x:.0f}" y="{y + 20}">{name}</text>')
         for other in sorted(below[name]):
             if not any(other in reach[third] for third in below[name]):
                 to_x, to_y = place[other]
                 bend = (y + high + to_y) / 2
                 lines.append(f'<path d="M{x:.0f} {y + high} C{x:.0f} {bend:.0f} {to_x:.0f} {bend:.0f} {to_x:.0f} {to_y}"/>')
-        boxes.append(f'<rect x="{x - wide / 2:.0f}" y="{y}" width="{wide}" height="{high}" rx="4"/><text x="{x:.0f}" y="{y + 20}">{name}</text>')
     return "\n".join([
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="14" text-anchor="middle">',
-        f'<rect width="{width}" height="{height}" fill="white"/><g fill="none" stroke="#999">', *lines,
-        '</g><g fill="#eef3fa" stroke="#345">', *(box.partition("<text")[0] for box in boxes),
-        '</g><g fill="#123">', *("<text" + box.partition("<text")[2] for box in boxes), "</g></svg>\n",
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="14">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        '<g fill="none" stroke="#999">', *lines, "</g>",
+        '<g fill="#eef3fa" stroke="#345">', *boxes, "</g>",
+        '<g fill="#123" text-anchor="middle">', *words, "</g></svg>\n",
     ])  # fmt: skip
 
 
