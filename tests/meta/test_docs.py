@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 import gelsim
 from gelsim import console
@@ -115,3 +118,15 @@ def test_the_readme_points_at_what_there_is() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     told = re.findall(r"\]\(([^)#:]+)\)", text) + re.findall(r"`(docs/[\w./]+)`", text)
     assert len(told) > 4 and [target for target in told if not (ROOT / target).exists()] == []
+
+
+def test_a_figure_without_its_command_is_warned_of() -> None:
+    """The hook of `make docs`, whose warnings are errors; latex2mathml, which it sets equations with, is of the extra `docs`."""
+    pytest.importorskip("latex2mathml")
+    found = runpy.run_path(str(ROOT / "docs" / "hooks.py"))["without_command"]
+    table, command = "| case | error |\n|---|---|\n| ball | 1.2 % |", "    gelsim bench --only accuracy"
+    assert list(found(f"{command}\n\nSo far it is off.\n\n{table}")) == []
+    assert list(found(f"{command}\n\nOne.\n\nTwo.\n\n{table}")) == ["| case | error |"]
+    assert list(found("![a plot](images/plot.png)\n\nNothing.")) == ["![a plot](images/plot.png)"]
+    assert list(found("| field | what |\n|---|---|\n| a | words |")) == []
+    assert list(found((ROOT / "README.md").read_text(encoding="utf-8"))) == []
