@@ -256,7 +256,7 @@ class _March:
         self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
         self._smallest = here.min_jacobian
         problem.solids.set_state(here.fields)
-        problem.contact.inherit(before.problem.contact, problem.solids.rest, problem.solids.positions(), LOOKED_MM)
+        problem.contact.inherit(before.problem.contact, problem.solids.positions(), LOOKED_MM)
         start = self._state(here.approach)
         self._arrive(start, before.normal_force)
         if not (yield from self._attempt(start, here.approach)):
