@@ -49,6 +49,7 @@ from gelsim.fem.contact_kernels import (
     field_gaps,
     friction_force,
     friction_tangent,
+    gap_changes,
     place_points,
     surface_gaps,
     vec6d,
@@ -301,8 +302,23 @@ class SurfaceContact:
         friction = [self.frictional, self.anchor_face, self.anchor_place, self.shift, self.friction, self.stick]
         self._launch(add_remainder, x, self.own, *pairing, self.law.smoothing, self.bend, *friction, self.geometric, equation, v, out)
 
-    def gap_gradient(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
-        """∂g of paired points with respect to the unknowns, (P, unknowns): the foot lies along n, so its place does not count."""
+    def gap_changes(self, x: wp.array, equation: wp.array) -> Callable[[Array], Array]:
+        """The derivative of all points' gaps, as its product with a vector of unknowns; 0 where a point meets nothing.
+
+        Along the lines of a soft object's contact it is not the force's direction (`force_direction`).
+        """
+        out = wp.zeros(len(self.weight), dtype=wp.float64, device=self.device)
+        pairing = [self.master, self.face, self.place, self.normal, self.gap]
+
+        def product(v: Array) -> Array:
+            along = wp.array(v, dtype=wp.float64, device=self.device)
+            self._launch(gap_changes, x, self.own, *pairing, self.bend, equation, along, out)
+            return np.array(out.numpy(), np.float64)
+
+        return product
+
+    def force_direction(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
+        """Matrix (P, unknowns) of paired points, the negative of which, transposed, takes their forces to nodal ones."""
         face, place, normal = self.face.numpy()[points], self.place.numpy()[points], self.normal.numpy()[points]
         return self._relative_motion(points, normal, face, place, equation, unknowns)
 
