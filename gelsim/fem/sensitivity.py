@@ -204,7 +204,7 @@ def converge(problem: PressProblem) -> None:
 
 
 def press_sensitivity(
-    problem: PressProblem, moduli_kpa: Sequence[float], heights: list[tuple[NDArray[np.integer], Array]]
+    problem: PressProblem, moduli_kpa: Sequence[float], heights: Sequence[tuple[NDArray[np.integer], Array]]
 ) -> PressSensitivity:
     """Presses, and differentiates every recorded state.
 

@@ -22,7 +22,7 @@ DEPTH = 0.4  # mm
 STEP = 1e-3  # relative, of the differences: the states are smooth but for points that come into contact, of second order
 # Differences: STEP² of a third derivative of order one, and TOLERANCE/STEP of noise. Points that enter make kinks in the second derivative:
 # STEP of a few percent.
-SAME = 2e-4
+SAME = 5e-5
 PLACES = 0.0, 1.4, 4.0  # mm from the axis: under the object, at its rim, in the free surface
 
 
@@ -98,8 +98,8 @@ def along_forces(a: Linearised) -> None:
 
 FAULTS = {
     "multipliers held": ("rigid", lambda a: setattr(a, "carrying", np.zeros_like(a.carrying))),
-    "multipliers without force": ("rigid", lambda a: setattr(a, "direction", 0.9 * a.direction)),
-    "the driven nodes' stiffness": ("rigid", lambda a: setattr(a, "upper", 0.999 * a.upper)),
+    "forces a tenth too small": ("rigid", lambda a: setattr(a, "direction", 0.9 * a.direction)),
+    "a matrix 0.1 % off": ("rigid", lambda a: setattr(a, "upper", 0.999 * a.upper)),
     "a symmetric matrix": ("stiff", lambda a: setattr(a, "rest", None)),
     "gaps along forces": ("stiff", along_forces),
     "the penalty held": ("soft", lambda a: setattr(a, "by_penalty", 0.0 * a.by_penalty)),
@@ -139,7 +139,7 @@ def test_one_factorisation_and_few_solves(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(Linearised, "answer", counted)
     solve(GEL, OBJECTS["stiff"], DEPTH)
-    assert len(solves) == 2 * 2 and max(solves) <= 40
+    assert len(solves) == 2 * 2 and max(solves) <= 20
 
 
 def test_friction_is_refused() -> None:
