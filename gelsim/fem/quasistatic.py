@@ -53,7 +53,8 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
-LONGEST_STEP = 0.25e-3  # [m] takes three to five iterations; longer ones take more, leave more overlap, and lose friction's way
+FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
+LONGEST_STEP = 1e-3  # [m]
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
 
@@ -215,7 +216,7 @@ class _March:
             if here is None:
                 return
         longest = min(spacing, LONGEST_STEP)
-        step, easy = longest if before is None else longest / 4, 0
+        step, easy = min(longest, FIRST_STEP), 0
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
