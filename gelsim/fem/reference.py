@@ -1,6 +1,6 @@
-"""The mechanics written slowly: energies and contact's forces in clear float64 NumPy, as the specification of the Warp kernels. For tests and for doubt only.
+"""The mechanics written slowly: energies, and contact's forces, in clear float64 NumPy, as the specification of the Warp kernels.
 
-Only the potential of the bodies is written out,
+For tests and for doubt only. Only the potential of the bodies is written out,
 
     Π(u, p) = ∫ Ŵ + p (J - 1) - p²/(2κ) + H:(C - 1)/2 dV   (assembly.py, hyperelastic.py; H only in viscoelastic.py)
 

@@ -303,9 +303,9 @@ STICKY = build_scene({
 """A soft ball with friction, sheared."""
 
 
-def made_sticky(on_object: bool = False, held: float = 0.0) -> PressProblem:
+def made_sticky(contact_points: int = 12, held: float = 0.0) -> PressProblem:
     materials = gel_material(STICKY), object_material(STICKY)
-    return PressProblem(STICKY, *stages.bodies(STICKY), *materials, "cpu", on_object=on_object, contact_points=12, held=held)
+    return PressProblem(STICKY, *stages.bodies(STICKY), *materials, "cpu", contact_points=contact_points, held=held)
 
 
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
@@ -327,15 +327,16 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
 
 
 @pytest.mark.parametrize("batched", [False, True])
-@pytest.mark.parametrize("on_object", [False, True])
-def test_a_lost_press_goes_on_by_other_points(on_object: bool, batched: bool) -> None:
-    """A soft ball with friction, lost at a quarter of its way, is led on with contact's points on the other surface, and is then what it is
-    by these alone, but for what the two differ by at this coarseness."""
-    begun, whole = goes_on(made_sticky(not on_object), made_sticky(on_object), 0.21, batched)
+@pytest.mark.parametrize("points", [6, 12])
+def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> None:
+    """A soft ball with friction, lost at a quarter of its way, is led on with twice or half the contact points, and is then what it is with
+    these alone, but for what the two differ by at this coarseness."""
+    begun, whole = goes_on(made_sticky(18 - points), made_sticky(points), 0.21, batched)
     assert begun.approach == pytest.approx([0.0, 0.2 * MM])
     assert whole.force[:2] == pytest.approx(begun.force), "what was recorded before stays"
-    alone = run_press(made_sticky(on_object))
+    alone = run_press(made_sticky(points))
     off = np.abs(whole.force - alone.force).max(axis=1)[1:] / np.abs(alone.force[1:, 2])
+    print(off, alone.force[1, 0] / alone.force[-1, 0], alone.force[1, 0] / alone.force[2, 2])
     # The first one is what the two ways differ by. A third of the shear was there when the points changed, 7 % of the next state's normal
     # force: what sticks keeps its places. (Found: 0.007, then at most 0.006.)
     assert off[0] < 0.02 and off[1:].max() < 2 * off[0]
@@ -460,11 +461,11 @@ def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pyt
 
 @pytest.mark.parametrize("enough_mm", [None, 0.3, 3.0])
 def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float | None, deformation: Deformation) -> None:
-    """Its tries that go on it has: of this soft object with friction three, and then those from rest, if it had to."""
+    """Its tries that go on it has: one, and then one from rest, if it had to."""
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
-    tries, made = strategy.tries(scene, frozenset("xy"), enough), []
+    tries, made = strategy.tries(scene, enough), []
     way, course = next(tries)
     with pytest.raises(StopIteration) as end:
         while True:
@@ -472,14 +473,14 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
             course.before = course.before or SimpleNamespace(approach=0.0)  # type: ignore[assignment]
             way, course = tries.send(lost)
     assert end.value.value is lost
-    assert made == [False, True, True, True] + ([] if enough_mm == 0.3 else [False, True, True, False])
+    assert made == [False, True] + ([] if enough_mm == 0.3 else [False])
 
 
 def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(deformation: Deformation) -> None:
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
     there = replace(deformation, info={"ended_by": PressEnd.FORCE})
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
-    tries = strategy.tries(scene, frozenset("xy"), lambda _: True)
+    tries = strategy.tries(scene, lambda _: True)
     _, course = next(tries)
     course.before = SimpleNamespace(approach=0.0)  # type: ignore[assignment]
     way, _ = tries.send(lost)
