@@ -299,7 +299,6 @@ def test_penalty_law() -> None:
     assert reference.penalty_pressure(np.array([-1e-9, 0.0, 1e-9]), K, SMOOTHING) == pytest.approx([0, 0, 0], abs=1e-9)
 
 
-
 def test_friction_is_kept_from_step_to_step() -> None:
     """Over a ridge contact ends within faces; the next step begins with what the last one ended with."""
     pair = Pair(-1.0, False, overlap=0.4, slope=1.0)
