@@ -11,10 +11,12 @@ import warp as wp
 from fem_fixtures import MM, Array, box_mesh
 
 from gelsim.fem import reference
-from gelsim.fem.contact import ContactLaw, SurfaceContact
+from gelsim.fem.contact import ContactLaw, RigidContact, SurfaceContact
 from gelsim.fem.elements import triangle_quadrature
+from gelsim.fem.field import exact_distance, sampled
 from gelsim.fem.pattern import SymmetricPattern, build_pattern, pair_keys
 from gelsim.geometry import quadratic_faces
+from gelsim.scene.definition import Body
 
 EPS = np.finfo(float).eps
 K, SMOOTHING, MU = 1500.0, 5e-4, 0.4
@@ -210,6 +212,36 @@ def test_whole_tangent(friction: float, shear: float, slips: bool, curved: bool)
     numeric = (pair.force(x + h * d) - pair.force(x - h * d)) / (2 * h)
     assert np.linalg.norm(numeric) > 1.0, "a derivative that is zero would prove nothing"
     assert off(assembled + rest, numeric) < 1e-7
+
+
+class RigidPair(Pair):
+    """The same gel under a rigid ball of R = 5 mm that is 0.05 mm deep in it."""
+
+    def __init__(self, friction: float) -> None:
+        super().__init__(friction, False)
+        ball = exact_distance(Body(shape="hemisphere", rigid=True, radius_mm=5.0))
+        field = sampled(ball, np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 2.0]), 0.1)
+        frame = np.vstack([np.zeros(3), RigidContact.SIDE * np.eye(3)]) - [0.0, 0.0, 0.05]
+        self.x[len(self.gel) : len(self.gel) + 4] = frame
+        corners = len(self.gel) + np.arange(4)
+        self.contact = RigidContact(self.contact.slave_faces, corners, self.x, field, self.contact.law, "cpu", 6)
+
+
+@pytest.mark.parametrize(("friction", "shear"), [(-1.0, 0.01), (MU, 0.01)], ids=["stick", "slip"])
+def test_whole_tangent_under_a_rigid_body(friction: float, shear: float) -> None:
+    """Of the gel's forces by its own motion, as the body is driven; what is assembled has the body's curvature already."""
+    pair = RigidPair(friction)
+    x = pair.slide(shear)
+    pair.force(x)
+    assert len(touching(pair)) > 20
+    d = np.random.default_rng(10).standard_normal(x.shape)
+    d[len(pair.gel) :] = 0.0
+    assembled, rest = pair.tangent(x, d)
+    h = 1e-8
+    numeric = (pair.force(x + h * d) - pair.force(x - h * d)) / (2 * h)
+    assembled, rest, numeric = (a[pair.gel] for a in (assembled, rest, numeric))
+    assert off(assembled + rest, numeric) < 1e-7  # rounding, as above
+    assert off(assembled, numeric) > SEEN and off(assembled - rest, numeric) > SEEN
 
 
 @pytest.mark.parametrize("friction", [0.0, -1.0, MU])
