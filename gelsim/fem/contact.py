@@ -1,28 +1,23 @@
 """Contact of the gel's outer surface with the object's surface: gap, pressure, friction, and their tangents.
 
-Point to surface: each quadrature point x of one surface's six-node faces (the slave's) looks for the closest point y(ξ) on the other's (the
-master's), which are curved, so a sphere has no facets. With n the master's outward normal there, the gap is g = n·(x - y). The contact
-potential is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
+Each quadrature point x of the gel's six-node faces (the slave's) looks along the outward normal of its own face for the object's (the
+master's) curved faces, so a sphere has no facets, and meets them at y(ξ). With n that normal turned round, the gap is g = n·(x - y). n is
+a function of the point's own face: unlike the normal of a closest place it jumps nowhere, and g is continuous over kinks, ridges and rims
+of the object. Pressure is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
 
-    φ = 0 (s ≤ 0),  k s³/(6ε) (0 < s < ε),  k (s²/2 - εs/2 + ε²/6) (s ≥ ε),       s = λ/k - g,  p = ∂φ/∂s.
+    p = 0 (s ≤ 0),  k s²/(2ε) (0 < s < ε),  k (s - ε/2) (s ≥ ε),       s = λ/k - g.
 
-k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere exactly, do not turn their sub-micrometre
-misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's faces, then carries the load, so that little
-overlap is left. The Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ with both bodies (Wriggers 2006, §9; there at
-g ≈ 0):
+It acts along n, on x and against it on y. k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere
+exactly, do not turn their sub-micrometre misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's
+faces, then carries the load, so that little overlap is left. Derivatives, with ν the master's normal at y, a_α the slave's tangents and
+a^α their duals:
 
-    D²g = -T^α N_αᵀ - N_α T^αᵀ - b_αβ T^α T^βᵀ,   T^α·δ = a^α·(δx - δy),  N_α·δ = n·δy,α,  b_αβ = n·y,αβ .
+    δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
-Friction is Coulomb's, in the same way (Simo and Laursen 1992): with e the tangential slip of a point since the last load step (against the
-place on the master that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it
-exceeds that. p in μp is that of the current iterate in the residual; the assembled tangent holds p constant there, which keeps it
-symmetric, and `slip_coupling` is the unsymmetric rest, of low rank. Far from equilibrium the slipping tangent is replaced by its secant,
-which resists a reversal of the slip as well.
-
-Who is which: the master's normals should turn little from face to face. Over an object's sharp tip, whose flanks face away from each
-other, the gel's points find one flank or the other and forces jump; the tip's points on the gel's faces have one normal. And there should
-be many points on each of the master's faces, which warp between them: where nothing else holds a tip, it slides. Else the gel's points are
-the better ones, as they know where contact ends on the surface that the camera sees (`fem.strategy.ways` chooses).
+Friction is Coulomb's, in the same way: with e the tangential slip of a point since the last load step (against the place on the master
+that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. Assembled
+is the symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric. Far from equilibrium that is
+left out, and the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
 
 A rigid object is no surface but a distance (`RigidContact`, field.py). Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""
@@ -49,6 +44,7 @@ from gelsim.fem.contact_kernels import (
     field_gaps,
     friction_force,
     friction_tangent,
+    gap_changes,
     place_points,
     surface_gaps,
     vec6d,
@@ -301,8 +297,23 @@ class SurfaceContact:
         friction = [self.frictional, self.anchor_face, self.anchor_place, self.shift, self.friction, self.stick]
         self._launch(add_remainder, x, self.own, *pairing, self.law.smoothing, self.bend, *friction, self.geometric, equation, v, out)
 
-    def gap_gradient(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
-        """∂g of paired points with respect to the unknowns, (P, unknowns): the foot lies along n, so its place does not count."""
+    def gap_changes(self, x: wp.array, equation: wp.array) -> Callable[[Array], Array]:
+        """The derivative of all points' gaps, as its product with a vector of unknowns; 0 where a point meets nothing.
+
+        Along the lines of a soft object's contact it is not the force's direction (`force_direction`).
+        """
+        out = wp.zeros(len(self.weight), dtype=wp.float64, device=self.device)
+        pairing = [self.master, self.face, self.place, self.normal, self.gap]
+
+        def product(v: Array) -> Array:
+            along = wp.array(v, dtype=wp.float64, device=self.device)
+            self._launch(gap_changes, x, self.own, *pairing, self.bend, equation, along, out)
+            return np.array(out.numpy(), np.float64)
+
+        return product
+
+    def force_direction(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
+        """Matrix (P, unknowns) of paired points, the negative of which, transposed, takes their forces to nodal ones."""
         face, place, normal = self.face.numpy()[points], self.place.numpy()[points], self.normal.numpy()[points]
         return self._relative_motion(points, normal, face, place, equation, unknowns)
 

@@ -485,6 +485,74 @@ def in_plane(a: wp.vec3d, b: wp.vec3d, along_a: wp.float64, along_b: wp.float64)
     return wp.vec2d((bb * along_a - ab * along_b) / det, (aa * along_b - ab * along_a) / det)
 
 
+@wp.struct
+class Change:
+    """What changes at a point along a displacement: the point against the place that it meets, the normal, the gap, and ξ of the place."""
+
+    apart: wp.vec3d
+    normal: wp.vec3d
+    gap: wp.float64
+    xi: wp.vec2d
+
+
+@wp.func
+def change_along(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec2d), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), bend: wp.array(dtype=wp.mat33d),
+    equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), i: wp.int32,
+) -> Change:  # fmt: skip
+    """Along v, of point i, which meets a face. The line through it turns with its own face, and meets the other surface where that is."""
+    base = scene_of(layout, i) * layout.nodes
+    f = face[i]
+    n = normal[i]
+    own = slave_face(layout, i)
+    m = shape[i % layout.points]
+    s = shares(layout, place[i])
+    found = Change()
+    for a in range(6):
+        found.apart += m[a] * free_vector(v, equation, base + slave[own, a]) - s[a] * free_vector(v, equation, base + master[f, a])
+    if layout.rigid:
+        found.normal = bend[i] * found.apart
+        found.gap = wp.dot(n, found.apart)
+        return found
+    at = points[i % layout.points]
+    m1 = tri6_d1(at)
+    m2 = tri6_d2(at)
+    dx1 = wp.vec3d()
+    dx2 = wp.vec3d()
+    for a in range(6):
+        dx1 += m1[a] * free_vector(v, equation, base + slave[own, a])
+        dx2 += m2[a] * free_vector(v, equation, base + slave[own, a])
+    x1 = on_face(x, base, slave, own, m1)
+    x2 = on_face(x, base, slave, own, m2)
+    turn = in_plane(x1, x2, wp.dot(n, dx1), wp.dot(n, dx2))
+    found.normal = -turn[0] * x1 - turn[1] * x2
+    y1 = on_face(x, base, master, f, tri6_d1(flat(place[i])))
+    y2 = on_face(x, base, master, f, tri6_d2(flat(place[i])))
+    outward = wp.cross(y1, y2)
+    away = found.apart - gap[i] * found.normal
+    found.gap = wp.dot(outward, away) / wp.dot(outward, n)
+    away -= found.gap * n
+    found.xi = in_plane(y1, y2, wp.dot(away, y1), wp.dot(away, y2))
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def gap_changes(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec2d), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), bend: wp.array(dtype=wp.mat33d),
+    equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """The derivative of the gaps along v; 0 where a point meets nothing."""
+    i = wp.tid()
+    out[i] = wp.float64(0.0)
+    if face[i] >= 0:
+        change = change_along(slave, shape, layout, x, points, master, face, place, normal, gap, bend, equation, v, i)
+        out[i] = change.gap
+
+
 @wp.kernel(enable_backward=False)
 def add_remainder(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
@@ -511,43 +579,15 @@ def add_remainder(
     own = slave_face(layout, i)
     m = shape[i % layout.points]
     s = shares(layout, place[i])
-    dx = wp.vec3d()
-    dy = wp.vec3d()
-    for a in range(6):
-        dx += m[a] * free_vector(v, equation, base + slave[own, a])
-        dy += s[a] * free_vector(v, equation, base + master[f, a])
-    closing = wp.dot(n, dx - dy)
-    dg = closing
-    dn = wp.vec3d()
+    change = change_along(slave, shape, layout, x, points, master, face, place, normal, gap, bend, equation, v, i)
+    dn = change.normal
     pull = wp.vec3d()
     s1 = vec6d()
     s2 = vec6d()
-    moved = wp.vec2d()
-    if layout.rigid:
-        dn = bend[i] * (dx - dy)
-    else:
-        at = points[i % layout.points]
-        m1 = tri6_d1(at)
-        m2 = tri6_d2(at)
-        dx1 = wp.vec3d()
-        dx2 = wp.vec3d()
-        for a in range(6):
-            dx1 += m1[a] * free_vector(v, equation, base + slave[own, a])
-            dx2 += m2[a] * free_vector(v, equation, base + slave[own, a])
-        x1 = on_face(x, base, slave, own, m1)
-        x2 = on_face(x, base, slave, own, m2)
-        turn = in_plane(x1, x2, wp.dot(n, dx1), wp.dot(n, dx2))
-        dn = -turn[0] * x1 - turn[1] * x2
+    if not layout.rigid:
         s1 = tri6_d1(flat(place[i]))
         s2 = tri6_d2(flat(place[i]))
-        y1 = on_face(x, base, master, f, s1)
-        y2 = on_face(x, base, master, f, s2)
-        outward = wp.cross(y1, y2)
-        away = dx - dy - gap[i] * dn
-        dg = wp.dot(outward, away) / wp.dot(outward, n)
-        away -= dg * n
-        moved = in_plane(y1, y2, wp.dot(away, y1), wp.dot(away, y2))
-        pull = slope * (dg - closing) * n - p * dn
+        pull = slope * (change.gap - wp.dot(n, change.apart)) * n - p * dn
     rub = wp.vec3d()
     held = vec6d()
     anchor = anchor_face[i]
@@ -562,9 +602,9 @@ def add_remainder(
         rub = w * dt
         if mu >= wp.float64(0.0) and size > mu * p:
             along = wp.normalize(t)
-            rub = (mu * p / size) * (rub - wp.dot(along, rub) * along) - (mu * slope * dg) * along
+            rub = (mu * p / size) * (rub - wp.dot(along, rub) * along) - (mu * slope * change.gap) * along
     for a in range(6):
         add_free(out, equation, base + slave[own, a], m[a] * (pull + rub))
-        add_free(out, equation, base + master[f, a], p * (s1[a] * moved[0] + s2[a] * moved[1]) * n - s[a] * pull)
+        add_free(out, equation, base + master[f, a], p * (s1[a] * change.xi[0] + s2[a] * change.xi[1]) * n - s[a] * pull)
         if anchor >= 0:
             add_free(out, equation, base + master[anchor, a], -held[a] * rub)
