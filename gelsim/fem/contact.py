@@ -2,8 +2,9 @@
 
 Each quadrature point x of the gel's six-node faces (the slave's) looks along the outward normal of its own face for the object's (the
 master's) curved faces, so a sphere has no facets, and meets them at y(ξ). With n that normal turned round, the gap is g = n·(x - y). n is
-a function of the point's own face: unlike the normal of a closest place it jumps nowhere, and g is continuous over kinks, ridges and rims
-of the object. Pressure is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
+a function of the point's own face: unlike the normal of a closest place it jumps nowhere, and g is continuous over kinks and ridges of
+the object. (A line that leaves the object's outline loses it, and what the point carried; where the gel wraps a rim it meets the flank.)
+Pressure is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
 
     p = 0 (s ≤ 0),  k s²/(2ε) (0 < s < ε),  k (s - ε/2) (s ≥ ε),       s = λ/k - g.
 
