@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gelsim.data.episodes import load_dataset
     from gelsim.errors import GelsimError, SceneError, SolveError
+    from gelsim.live.sensor import LiveFrame, LiveSensor
     from gelsim.pipeline.stages import press, press_batch, press_sensitivity, render, simulate
     from gelsim.results import Deformation, Episode, Frame, Membrane, PressSensitivity
     from gelsim.scene.definition import Scene
@@ -25,6 +26,8 @@ _HOMES = {
     "Episode": "gelsim.results",
     "Frame": "gelsim.results",
     "GelsimError": "gelsim.errors",
+    "LiveFrame": "gelsim.live.sensor",
+    "LiveSensor": "gelsim.live.sensor",
     "Membrane": "gelsim.results",
     "PressSensitivity": "gelsim.results",
     "Scene": "gelsim.scene.definition",
@@ -44,6 +47,8 @@ __all__ = [
     "Episode",
     "Frame",
     "GelsimError",
+    "LiveFrame",
+    "LiveSensor",
     "Membrane",
     "PressSensitivity",
     "Scene",

@@ -33,7 +33,7 @@ STRIP = 24
 
 def rest_membrane(scene: Scene) -> Membrane:
     """The undeformed coated surface: what the camera sees without contact."""
-    grid = _Grid(scene.gel)
+    grid = Grid(scene.gel)
     centres = marker_layout(scene).centres
     return grid.membrane(np.zeros((len(grid.places), 3)), _at_rest(scene.gel, centres))
 
@@ -52,7 +52,7 @@ def moved_membrane(scene: Scene, displacement: Callable[[NDArray[np.float64]], N
     Args:
         displacement: Takes rest places x, y [m] (M, 2) to displacements [m] (M, 3).
     """
-    grid = _Grid(scene.gel)
+    grid = Grid(scene.gel)
     centres = marker_layout(scene).centres
     moved = displacement(np.concatenate([grid.places, centres]))
     return grid.membrane(moved[: len(grid.places)], _at_rest(scene.gel, centres) + moved[len(grid.places) :])
@@ -79,7 +79,7 @@ class Surface:
 
         self.gel, self.nodes = gel, nodes
         self._interpolation = Interpolation(nodes)
-        self._grid = _Grid(gel, spacing)
+        self._grid = Grid(gel, spacing)
         # Single precision: 2 mm to a tenth of a nanometre, and half the memory to go through.
         self._to_grid = self._interpolation.operator(self._grid.places).astype(np.float32)
 
@@ -93,7 +93,7 @@ class Surface:
         return [self._grid.membrane(moved[:, n], np.ascontiguousarray(dots[:, n])) for n in range(states)]
 
 
-class _Grid:
+class Grid:
     """The regular grid of material points that is drawn, row by row."""
 
     def __init__(self, gel: Gel, spacing: float = GRID_SPACING) -> None:

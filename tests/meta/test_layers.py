@@ -18,7 +18,7 @@ LAYERS = [
     {"shape", "console", "tables"},
     {"data", "membrane", "mesh", "fem"},
     {"optics"},
-    {"pipeline"},
+    {"pipeline", "live"},
     {"bench", "calibrate", "durometer", "generate", "study", "views"},
     {"cli"},
     {"__main__", "__init__"},

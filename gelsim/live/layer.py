@@ -1,0 +1,221 @@
+"""The baked gel: a flat elastic layer bonded to its window, whose answer to tractions is known in closed form for every wave.
+
+Under a traction exp(i k·x) on its outer face a layer of thickness h moves by the same wave. Along k and z, with u_l = i V, t_l = i T,
+Navier's equations have four solutions, (V, W) = (1, ±1) e^{±kz} and (κ ± kz, kz) e^{±kz}, κ = 3 - 4ν; V = W = 0 at z = -h and the traction
+at z = 0 give their shares, a 4 × 4 system. Across k the layer shears alone: u_s = t_s tanh(kh) / Gk. All are 1/Gk times a function of kh
+alone, tabulated once; displacement from traction is then a product in Fourier space (`Layer.moved`).
+
+The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). Under load the
+layer is as stiff as one thinner by THINNING of the mean indentation. Thickness: that of the gel at the pressure's centre.
+
+Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Coulomb friction is incremental: where
+|q| < μp the gel moves with the object, elsewhere q opposes the slip; the same gradients with q projected on its disc. Both alternate, as
+shear lifts the surface and pressure spreads it.
+
+Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, inertia, viscosity, and
+the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Values = NDArray[np.float32]
+
+CELL_MM = 0.2
+"""Of the grid, at most."""
+THINNING = 0.3
+"""Of the mean indentation, with friction; without, the layer keeps its thickness (docs/live.md has both)."""
+GAP_TOLERANCE = 1e-3
+"""Of the deepest overlap: gaps left in the contact, RMS."""
+SLIP_TOLERANCE = 5e-3
+"""Of the frictional bounds: what one more step would change; a looser one lets the history of slip drift."""
+ROUNDS = 12
+"""Between pressure, shear and thickness, at most."""
+SETTLED = 2e-3
+"""Relative change of the pressure, and of the thickness, at which the rounds end."""
+STEPS = 200
+"""Of a gradient method, at most."""
+_WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 300.0, 3000)])
+
+
+@lru_cache(maxsize=8)
+def waves(poissons_ratio: float) -> tuple[NDArray[np.float64], ...]:
+    """c(kh) of u = c t / Gk at `_WAVES`: (V by T, V by N, W by N) and across; 0 at 0, where the whole layer moves.
+
+    W by T is V by N (Betti).
+    """
+    a, kappa = _WAVES[1:], 3.0 - 4.0 * poissons_ratio
+    stretch = poissons_ratio / (1.0 - 2.0 * poissons_ratio)
+
+    def at(z: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """V, W and the tractions T, N over Gk of the four solutions at kz = z; those that fall with z are 1 at the window."""
+        up, down, one = np.exp(z), np.exp(-(z + a)), np.ones_like(a)
+        v = np.stack([up, (kappa + z) * up, down, (kappa - z) * down])
+        w = np.stack([up, z * up, -down, z * down])
+        dv = np.stack([up, (kappa + 1 + z) * up, -down, -(kappa + 1 - z) * down])
+        dw = np.stack([up, (one + z) * up, down, (one - z) * down])
+        return v, w, dv + w, 2.0 * (dw + stretch * (dw - v))
+
+    v, w, t, n = at(np.zeros_like(a))
+    below_v, below_w, _, _ = at(-a)
+    system = np.moveaxis(np.stack([below_v, below_w, t, n]), 2, 0)
+    shares = np.linalg.solve(system, np.broadcast_to(np.eye(4)[:, 2:], (len(a), 4, 2)))
+    by_v, by_w = (np.einsum("ai,aij->aj", top.T, shares) for top in (v, w))
+    found = by_v[:, 0], by_v[:, 1], by_w[:, 1], np.tanh(a)
+    return tuple(np.concatenate([[0.0], values]) for values in found)
+
+
+@dataclass(frozen=True)
+class Elastic:
+    """Of the gel."""
+
+    shear_kpa: float
+    poissons_ratio: float
+
+
+class Layer:
+    """A grid of cells over the gel, (rows, columns), and what tractions on them do. Displacements [mm], tractions [kPa]."""
+
+    def __init__(self, size_mm: tuple[float, float], material: Elastic, cell_mm: float = CELL_MM) -> None:
+        counts = [2 * int(fft.next_fast_len(int(np.ceil(side / cell_mm / 2)), real=True)) for side in size_mm]
+        self.material, self.shape = material, (counts[1], counts[0])
+        self.cell = size_mm[0] / counts[0], size_mm[1] / counts[1]
+        self.x, self.y = ((np.arange(count) - (count - 1) / 2) * cell for count, cell in zip(counts, self.cell, strict=True))
+        """Of the cells' middles [mm]."""
+        kx = 2 * np.pi * fft.rfftfreq(counts[0], self.cell[0])[None, :]
+        ky = 2 * np.pi * fft.fftfreq(counts[1], self.cell[1])[:, None]
+        self._k = np.hypot(kx, ky)
+        far = np.where(self._k == 0.0, 1.0, self._k)
+        # A wave of two cells has no direction to and fro.
+        odd = (np.arange(kx.shape[1])[None, :] != counts[0] // 2) & (np.arange(counts[1])[:, None] != counts[1] // 2)
+        self._cx, self._cy, self._odd = kx / far, ky / far, odd
+        self.thickness = 0.0
+
+    def thin(self, thickness: float) -> None:
+        """Sets the layer's thickness [mm]."""
+        shear, nu, k = self.material.shear_kpa, self.material.poissons_ratio, self._k
+        scale = np.divide(1.0, shear * k, out=np.zeros_like(k), where=k > 0)
+        along, mixed, normal, across = (scale * np.interp(k * thickness, _WAVES, table) for table in waves(nu))
+        along[0, 0] = across[0, 0] = thickness / shear
+        normal[0, 0] = thickness / shear * (1 - 2 * nu) / (2 - 2 * nu)
+        cx, cy = self._cx, self._cy
+        self._zz = normal.astype(np.float32)
+        self._xx, self._yy = ((along * a**2 + across * b**2).astype(np.float32) for a, b in ((cx, cy), (cy, cx)))
+        self._xx[0, 0] = self._yy[0, 0] = thickness / shear
+        self._xy = ((along - across) * cx * cy * self._odd).astype(np.float32)
+        self._xz, self._yz = ((1j * mixed * c * self._odd).astype(np.complex64) for c in (cx, cy))
+        self.thickness = thickness
+
+    def _there(self, values: Values) -> NDArray[np.complex64]:
+        return fft.rfft2(values)  # type: ignore[return-value]
+
+    def _back(self, waves_of: NDArray[np.complex64]) -> Values:
+        return fft.irfft2(waves_of, self.shape)  # type: ignore[return-value]
+
+    def sunk(self, pressure: Values) -> Values:
+        """How deep a pressure alone presses the face [mm]."""
+        return self._back(self._zz * self._there(pressure))
+
+    def dragged(self, shear: Values) -> Values:
+        """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""
+        x, y = self._there(shear[0]), self._there(shear[1])
+        return np.stack([self._back(self._xx * x + self._xy * y), self._back(self._xy * x + self._yy * y)])
+
+    def lifted(self, shear: Values) -> Values:
+        """u_z of tangential tractions [mm]."""
+        return -self._back(self._xz * self._there(shear[0]) + self._yz * self._there(shear[1]))
+
+    def spread(self, pressure: Values) -> Values:
+        """u_t of a pressure [mm], (2, rows, columns)."""
+        p = self._there(pressure)
+        return np.stack([-self._back(self._xz * p), -self._back(self._yz * p)])
+
+
+def pressure(layer: Layer, room: Values, start: Values) -> Values:
+    """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0.
+
+    Args:
+        room: Gap that the face has without it [mm]; negative where the object would overlap.
+        start: A first guess.
+    """
+    deepest = -float(room.min())
+    if deepest <= 0.0:
+        return np.zeros_like(room)
+    # The contact lies where there is overlap or was pressure; what else joins is found by the overlap that it comes to.
+    p = np.where(start > 0, start, 0.0).astype(np.float32)
+    if not p.any():
+        p[room < 0] = layer.material.shear_kpa * 1e-3
+    gap = room + layer.sunk(p)
+    way, before = np.zeros_like(p), 0.0
+    for _ in range(STEPS):
+        held = p > 0
+        inside = np.where(held, gap, 0.0)
+        size = float(np.vdot(inside, inside))
+        overlap = ~held & (gap < 0)
+        worst = -float(gap[overlap].min()) if overlap.any() else 0.0
+        if size <= (GAP_TOLERANCE * deepest) ** 2 * held.sum() and worst <= 3 * GAP_TOLERANCE * deepest:
+            break
+        way = inside + np.float32(size / before if before else 0.0) * np.where(held, way, 0.0)
+        answer = layer.sunk(way)
+        steep = float(np.vdot(answer, way))
+        if steep <= 0.0:  # nothing in contact yet, or no more than rounding is left
+            step = layer.material.shear_kpa / layer.thickness
+        else:
+            step = float(np.vdot(inside, way)) / steep
+        moved = p - np.float32(step) * way
+        left = moved < 0
+        if left.any() or overlap.any():
+            p = np.maximum(moved, 0.0)
+            p[overlap] -= np.float32(step) * gap[overlap]
+            gap = room + layer.sunk(p)
+            before = 0.0 if overlap.any() else size
+        else:
+            p, gap, before = moved, gap - np.float32(step) * answer, size
+    return p
+
+
+def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
+    """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip = away + dragged(q) is 0 where |q| < bound, else against q.
+
+    Args:
+        away: Slip that there is without them [mm], likewise.
+        bound: μp, (rows, columns).
+        start: A first guess.
+    """
+
+    def projected(q: Values) -> Values:
+        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
+        return q * np.where(length > bound, bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+
+    total = float(np.linalg.norm(bound))
+    if total == 0.0:
+        return np.zeros_like(away)
+    q = projected(start)
+    way, before, free_before = np.zeros_like(q), 0.0, None
+    slip = away + layer.dragged(q)
+    step = layer.material.shear_kpa / layer.thickness
+    for _ in range(STEPS):
+        # The last step's length says how far one more would go.
+        if float(np.linalg.norm(projected(q - np.float32(step) * slip) - q)) < SLIP_TOLERANCE * total:
+            break
+        at_bound = q[0] ** 2 + q[1] ** 2 >= (np.float32(1 - 1e-5) * bound) ** 2
+        free = (bound > 0) & ~(at_bound & ((slip * q).sum(axis=0) < 0))
+        inside = np.where(free, slip, np.float32(0.0))
+        size = float(np.vdot(inside, inside))
+        same = free_before is not None and np.array_equal(free, free_before)
+        way = inside + np.float32(size / before if same and before else 0.0) * np.where(free, way, np.float32(0.0))
+        answer = layer.dragged(way)
+        steep = float(np.vdot(answer, way))
+        if steep > 0.0:
+            step = float(np.vdot(inside, way)) / steep
+        trial = q - np.float32(step) * np.where(free, way, slip)
+        q = projected(trial)
+        slip = away + layer.dragged(q)
+        before, free_before = size, free
+    return q

@@ -1,0 +1,271 @@
+"""`gelsim.LiveSensor`: a sensor that answers each time the object moves, from the baked gel and the baked light.
+
+    sensor = gelsim.LiveSensor(gelsim.load_scene("scenes/press_cylinder.toml"))
+    frame = sensor.step((0, 0, -0.5e-3, 1, 0, 0, 0), dt=1 / 30)
+
+One sensor, one rigid object. `gelsim.live.layer` has the mechanics, `gelsim.live.underside` the object, docs/live.md what they are worth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+
+from gelsim.errors import SceneError
+from gelsim.fem import quiet_warp
+from gelsim.live import layer as gel_layer
+from gelsim.live.layer import Elastic, Layer
+from gelsim.membrane.markers import marker_layout
+from gelsim.membrane.surface import Grid
+from gelsim.optics.camera import marker_pixels
+from gelsim.results import Membrane
+from gelsim.scene import materials
+from gelsim.scene.definition import Scene
+from gelsim.shape.shapes import gel_height
+from gelsim.units import MM, MM_PER_M
+
+Array = NDArray[np.float64]
+
+MOST_TRAVEL_MM = 0.1
+"""Of the object in one increment of friction; a longer step is cut."""
+DEEPEST = 0.6
+"""Indentation over thickness up to which it was measured; deeper ones are refused."""
+LOOKS = 3
+"""For the place of a material point: u_t falls by half over a thickness at least, so each gains a factor of three or more."""
+STICK = 1e3
+"""Coefficient of friction that stands for "stick"."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveFrame:
+    """What the sensor answers to one pose. The grid is `LiveSensor.x` and `y`: (rows, columns) of places in space."""
+
+    image: NDArray[np.uint8] | None
+    """8-bit sRGB, shape (H, W, 3); None without pictures."""
+    height: NDArray[np.float32]
+    """z of the coated surface over the grid's places [m], shape (rows, columns)."""
+    marker_pixels: Array
+    """(column, row) of the marker centres [px], shape (K, 2); NaN outside the picture."""
+    force: Array
+    """On the gel by the object [N], shape (3,); pressing gives negative z."""
+    torque: Array
+    """Of that force about the origin of the gel's frame [N m], shape (3,)."""
+    contact: NDArray[np.bool_]
+    """Where the object touches the gel, shape (rows, columns)."""
+
+
+class LiveSensor:
+    """A gel, its camera, and one rigid object that moves in its frame."""
+
+    def __init__(self, scene: Scene, *, image: bool = True, device: str = "auto") -> None:
+        """Makes the tables: seconds, and with pictures a minute once for each sensor, whose light is then measured and kept.
+
+        Args:
+            scene: Its gel, contact, camera, lights, coating, markers and object count; its press does not.
+            image: Draw pictures, by the sensor's baked light; without them Mitsuba is not needed.
+            device: "auto" | "cpu" | "cuda", of the pictures.
+        Raises:
+            SceneError: The object is not rigid, or the gel is viscous.
+        """
+        _check(scene)
+        quiet_warp()
+        from gelsim.live.underside import Underside
+
+        scene = scene.replace(render=replace(scene.render, mode="baked"))
+        self._scene = scene
+        gel, material = scene.gel, materials.gel_material(scene)
+        nu = material.poissons_ratio
+        self._layer = Layer(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+        self.x, self.y = self._layer.x * MM, self._layer.y * MM
+        """Of the grid's columns and rows [m]."""
+        places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
+        self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
+        self._object = Underside(scene.object)
+        self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
+        self._thinning = gel_layer.THINNING if self._friction else 0.0
+        centres = marker_layout(scene).centres
+        self._markers = np.column_stack([centres, gel_height(gel, centres)])
+        self._drawer = _Drawer(scene, device) if image else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the object: the gel is at rest and remembers no slip."""
+        shape = self._layer.shape
+        self._pressure, self._shear = np.zeros(shape, np.float32), np.zeros((2, *shape), np.float32)
+        self._along = np.zeros((2, *shape), np.float32)
+        self._pose: tuple[Array, Array] | None = None
+        self._layer.thin(self._scene.gel.thickness_mm)
+
+    def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
+        """Moves the object to a pose and says what the sensor sees and feels there.
+
+        The way from the last pose is taken straight, in pieces of MOST_TRAVEL_MM: friction remembers it. The same poses after a `reset`
+        give the same frames.
+
+        Args:
+            pose: x, y, z of the object's origin [m] and its turn, a quaternion w, x, y, z, in the gel's frame, (7,).
+            dt: Time since the last pose [s]. The gel is elastic: it must be positive, and changes nothing.
+        Raises:
+            SceneError: pose is no pose or dt no time, or the object is deeper than DEEPEST of the gel's thickness.
+        """
+        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
+            raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
+        turn, shift = _pose(pose)
+        before = self._pose
+        ways = [(turn, shift)]
+        if before is not None and self._pressure.any() and self._friction:
+            pieces = max(1, math.ceil(self._travel(before, (turn, shift)) / MOST_TRAVEL_MM))
+            ways = [_between(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
+        kept = self._pressure, self._shear, self._along, self._pose
+        try:
+            for way in ways:
+                self._move(*way)
+        except SceneError:
+            self._pressure, self._shear, self._along, self._pose = kept
+            raise
+        return self._frame()
+
+    def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
+        """The farthest that a point in contact goes along the gel [mm]."""
+        rows, columns = np.nonzero(self._pressure > 0)
+        points = np.column_stack([self._layer.x[columns], self._layer.y[rows], self._deep[rows, columns]])
+        moved = (points - one[1]) @ one[0] @ other[0].T + other[1]
+        return float(np.linalg.norm(moved - points, axis=1).max())
+
+    def _move(self, turn: Array, shift: Array) -> None:
+        """One increment: pressure, shear and thickness that go with each other at the new pose."""
+        layer, gel = self._layer, self._scene.gel
+        heights = self._object.heights(turn, shift, layer.x, layer.y)
+        room = heights - self._rest.astype(np.float32)
+        overlap = -float(room.min())
+        if overlap > DEEPEST * gel.thickness_mm:
+            raise SceneError(
+                f"pose: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
+                f"{gel.thickness_mm:g} mm, so {DEEPEST * gel.thickness_mm:.2f} mm; press less deep, or use gelsim.press"
+            )
+        if overlap <= 0 or self._pose is None:
+            drift: Any = np.zeros_like(self._along)
+        else:
+            # Where a point of the object that is now over a place came from.
+            x, y = np.meshgrid(layer.x, layer.y)
+            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)])
+            back = self._pose[0] @ turn.T
+            was = np.einsum("ij,jyx->iyx", back, here - shift[:, None, None]) + self._pose[1][:, None, None]
+            drift = (here - was)[:2].astype(np.float32)
+        p, q, settled = self._pressure, self._shear, False
+        for _ in range(gel_layer.ROUNDS):
+            before = p
+            lifted = layer.lifted(q) if self._friction else np.float32(0.0)
+            p = gel_layer.pressure(layer, room - lifted, p)
+            if not p.any():
+                q = np.zeros_like(q)
+                break
+            sunk = layer.sunk(p) - lifted
+            total = float(p.sum())
+            thickness = float((p * (gel.thickness_mm + self._rest)).sum()) / total - self._thinning * float((p * sunk).sum()) / total
+            same = abs(thickness / layer.thickness - 1) < gel_layer.SETTLED
+            settled = same and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p))
+            if settled:
+                break
+            if not same:
+                layer.thin(thickness)
+            if self._friction:
+                away = layer.spread(p) - self._along - drift
+                q = gel_layer.shear(layer, away, np.float32(self._friction) * p, q)
+        self._pressure, self._shear = p, q
+        self._along = layer.dragged(q) + layer.spread(p)
+        self._deep = self._rest + layer.lifted(q) - layer.sunk(p)
+        self._pose = turn, shift
+
+    def _frame(self) -> LiveFrame:
+        layer = self._layer
+        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
+        traction = np.stack([*self._shear, -self._pressure]).astype(np.float64) * area
+        x, y = np.meshgrid(self.x, self.y)
+        arm = np.stack([x, y, self._deep * MM])
+        spots = self._markers + self._displaced(self._markers[:, :2])
+        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), spots)
+        image = self._drawer.draw(self._displaced, spots) if self._drawer else None
+        return LiveFrame(
+            image,
+            (self._deep * MM).astype(np.float32),
+            marker_pixels(self._scene, membrane),
+            traction.sum(axis=(1, 2)),
+            np.cross(arm, traction, axis=0).sum(axis=(1, 2)),
+            self._pressure > 0,
+        )
+
+    def _displaced(self, places: Array) -> Array:
+        """Displacements [m], (M, 3), of the material points of the surface that rest over places (M, 2) [m]."""
+        rest = places * MM_PER_M
+        at = rest
+        for _ in range(LOOKS):  # x = X + u_t(x)
+            at = rest + np.stack([self._read(self._along[axis], at) for axis in (0, 1)], axis=1)
+        height = self._read(self._deep - self._rest, at) * MM + gel_height(self._scene.gel, at * MM)
+        return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
+
+    def _read(self, values: NDArray[np.floating], at: Array) -> Array:
+        layer = self._layer
+        place = [(at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0]]
+        return map_coordinates(values, place, order=1, mode="nearest")
+
+
+class _Drawer:
+    """Membranes and pictures of one sensor, made ready once."""
+
+    def __init__(self, scene: Scene, device: str) -> None:
+        from gelsim.optics import bake
+        from gelsim.optics.baked import BakedRenderer
+        from gelsim.optics.variant import choose_variant
+
+        variant = choose_variant(device)
+        self._renderer = BakedRenderer(scene, bake.light_field(scene, variant), variant)
+        self._grid = Grid(scene.gel)
+
+    def draw(self, displaced: Callable[[Array], Array], markers: Array) -> NDArray[np.uint8]:
+        return self._renderer.frames([self._grid.membrane(displaced(self._grid.places), markers)])[0][1]
+
+
+def _check(scene: Scene) -> None:
+    if not scene.object.rigid:
+        raise SceneError("object.rigid = false: a live sensor takes rigid objects only; set object.rigid = true, or use gelsim.press")
+    if scene.gel.prony_g:
+        raise SceneError(f"gel.prony_g = {list(scene.gel.prony_g)}: a live sensor's gel is elastic; leave it out, or use gelsim.press")
+
+
+def _pose(pose: ArrayLike) -> tuple[Array, Array]:
+    """The turn (3, 3) and the shift [mm] of a pose."""
+    try:
+        values = np.asarray(pose, float)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.shape != (7,) or not np.isfinite(values).all():
+        raise SceneError(f"pose = {pose!r}: allowed are 7 finite numbers: x, y, z [m] and a quaternion w, x, y, z")
+    length = float(np.linalg.norm(values[3:]))
+    if abs(length - 1) > 1e-3:
+        raise SceneError(f"pose: its quaternion has the length {length:.4g}; allowed is 1 (w, x, y, z; no turn is 1, 0, 0, 0)")
+    if np.abs(values[:3]).max() > 1.0:
+        raise SceneError(f"pose: {values[:3].tolist()} m is over 1 m away; allowed are metres in the gel's frame, for example 0, 0, -0.0005")
+    w, x, y, z = values[3:] / length
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return turn, values[:3] * MM_PER_M
+
+
+def _between(one: tuple[Array, Array], other: tuple[Array, Array], part: float) -> tuple[Array, Array]:
+    """A pose on the way: straight, and turning evenly."""
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_matrix(other[0] @ one[0].T).as_rotvec() * part
+    return Rotation.from_rotvec(turned).as_matrix() @ one[0], one[1] + part * (other[1] - one[1])

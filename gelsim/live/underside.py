@@ -1,0 +1,122 @@
+"""A rigid object as the gel sees it: how high its underside is over each place, at any pose.
+
+The signed distance of the whole object (`gelsim.fem.field`) is sampled once. Of one orientation the underside is a map of heights, found
+by walking up along z as far as the distance allows (sphere tracing); it serves every shift, every turn about z, and every tilt up to
+TILT_DEG from the one it was made for: there a wall as high as the gel is thick comes into view by less than a quarter of a cell, and points
+of the map are turned and met again by a few corrections. A larger tilt makes a new map.
+
+Left out: what lies more than REACH_MM above the object's lowest point, and undercuts, which the gel does not flow into.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from gelsim.fem.field import MARGIN_MM, DistanceField, exact_distance, sampled, spacing
+from gelsim.scene.definition import Body
+from gelsim.shape import shapes
+from gelsim.units import MM_PER_M
+
+Array = NDArray[np.float64]
+
+MAP_MM = 0.1
+"""Between the map's places: half a cell of the gel."""
+TILT_DEG = 1.0
+REACH_MM = 6.0
+"""Above the lowest point; a gel is thinner."""
+FAR_MM = 1e3
+"""Height where there is no object."""
+MOST_SAMPLES = 8e6
+"""Of the distance; a larger object is sampled more coarsely."""
+CORRECTIONS = 4
+"""Of a tilted map: each gains a factor of the slope times the tilt."""
+
+
+class Underside:
+    """Of one rigid object."""
+
+    def __init__(self, body: Body) -> None:
+        """Samples its distance: a second or a few.
+
+        Raises:
+            SceneError: The shape makes no solid.
+        """
+        vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
+        low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
+        step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
+        self._field: DistanceField = sampled(exact_distance(body), low, high, step)
+        self._samples = self._field.samples
+        self._corners = vertices
+        self._turn: Array | None = None
+
+    def heights(self, turn: Array, shift: Array, x: Array, y: Array) -> NDArray[np.float32]:
+        """z [mm] of the underside over the places x (columns,) and y (rows,) [mm], (rows, columns); FAR_MM where there is none.
+
+        Args:
+            turn, shift: The pose, p -> turn p + shift [mm].
+        """
+        if self._turn is None or (turn[2] @ self._turn[2]) < np.cos(np.radians(TILT_DEG)):
+            self._trace(turn)
+        assert self._turn is not None
+        # From the map's frame to the gel's; the remaining turn is one about z and a small tilt.
+        rest = turn @ self._turn.T
+        across = np.stack(np.meshgrid(x - shift[0], y - shift[1]))
+        level = rest[:2, :2]
+        back = np.linalg.inv(level)
+        at = np.einsum("ij,jyx->iyx", back, across)
+        tilted = np.abs(rest[2, :2]).max() > 1e-9
+        if not tilted:
+            return (self._read(at) + shift[2]).astype(np.float32)
+        for _ in range(CORRECTIONS):
+            z = self._read(at)
+            known = z < FAR_MM / 2
+            lean = np.where(known, z, 0.0) * rest[:2, 2][:, None, None]
+            at = np.einsum("ij,jyx->iyx", back, across - lean)
+        z = self._read(at)
+        turned = rest[2, 0] * at[0] + rest[2, 1] * at[1] + rest[2, 2] * z + shift[2]
+        return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32)
+
+    def _read(self, at: Array) -> Array:
+        """Heights of the map at places (2, rows, columns) of its frame; bilinear, and FAR_MM next to what is not there."""
+        place = [(at[1] - self._first[1]) / MAP_MM, (at[0] - self._first[0]) / MAP_MM]
+        found = map_coordinates(self._map, place, order=1, mode="constant", cval=FAR_MM)
+        return np.where(found > self._top, FAR_MM, found)
+
+    def _trace(self, turn: Array) -> None:
+        """Makes the map for an orientation."""
+        corners = self._corners @ turn.T
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        counts = [int(np.ceil((high[i] - low[i]) / MAP_MM / 2)) for i in (0, 1)]
+        first = [(low[i] + high[i]) / 2 - counts[i] * MAP_MM for i in (0, 1)]
+        x, y = (first[i] + MAP_MM * np.arange(2 * counts[i] + 1) for i in (0, 1))
+        rays = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        z = np.full(len(rays), low[2] - 0.05)
+        top = low[2] + min(REACH_MM, high[2] - low[2] + 0.1)
+        alive = np.arange(len(rays))
+        close = 0.02
+        for _ in range(200):
+            away = self._coarse(np.column_stack([rays[alive], z[alive]]) @ turn)
+            # A spline's coefficients are read as if they were values: less than the last looks mend.
+            going = away > close
+            z[alive[going]] += np.maximum(away[going] - close / 2, close / 2)
+            alive = alive[going & (z[alive] < top)]
+            if len(alive) == 0:
+                break
+        hit = np.flatnonzero(z < top)
+        for _ in range(3):  # Newton's steps along z
+            points = np.column_stack([rays[hit], z[hit]])
+            here, above = self._field(points @ turn), self._field((points + [0, 0, 1e-3]) @ turn)
+            slope = np.minimum((above - here) / 1e-3, -0.1)
+            z[hit] -= np.clip(here / slope, -0.1, 0.1)
+        z[z >= top] = FAR_MM
+        self._map, self._top = z.reshape(len(y), len(x)), top
+        self._turn, self._first = turn.copy(), (x[0], y[0])
+
+    def _coarse(self, points: Array) -> Array:
+        """The distance read linearly; beyond the samples that of the nearest place."""
+        place = (points - self._field.origin) / self._field.spacing
+        inside = np.clip(place, 0.0, np.array(self._samples.shape) - 1.0)
+        found = map_coordinates(self._samples, inside.T, order=1, mode="nearest")
+        return found + self._field.spacing * np.linalg.norm(place - inside, axis=1)
