@@ -18,6 +18,8 @@ SECTIONS = {
     "stability": "gelsim.bench.stability",
     "optics": "gelsim.bench.optics",
     "end-to-end": "gelsim.bench.end_to_end",
+    "live": "gelsim.bench.live",
+    "live-rate": "gelsim.bench.live_rate",
     "random": "gelsim.bench.random_scenes",
 }
 """Section, and the module that holds it, in the order they are run and written. Names alone: nothing heavy is imported before it runs."""

@@ -20,7 +20,7 @@ from scipy.ndimage import map_coordinates
 from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
-from gelsim.live.layer import Elastic, Layer
+from gelsim.live.layer import Elastic, Layer, Values
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import Grid
 from gelsim.optics.camera import marker_pixels
@@ -86,6 +86,7 @@ class LiveSensor:
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
         self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
+        self._slope = np.stack(np.gradient(self._rest, *self._layer.cell[::-1])[::-1])
         self._object = Underside(scene.object)
         self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
         self._thinning = gel_layer.THINNING if self._friction else 0.0
@@ -99,7 +100,9 @@ class LiveSensor:
         shape = self._layer.shape
         self._pressure, self._shear = np.zeros(shape, np.float32), np.zeros((2, *shape), np.float32)
         self._along = np.zeros((2, *shape), np.float32)
+        self._deep = self._rest
         self._pose: tuple[Array, Array] | None = None
+        self._clear = 0.0
         self._layer.thin(self._scene.gel.thickness_mm)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
@@ -122,13 +125,9 @@ class LiveSensor:
         if before is not None and self._pressure.any() and self._friction:
             pieces = max(1, math.ceil(self._travel(before, (turn, shift)) / MOST_TRAVEL_MM))
             ways = [_between(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
-        kept = self._pressure, self._shear, self._along, self._pose
-        try:
-            for way in ways:
-                self._move(*way)
-        except SceneError:
-            self._pressure, self._shear, self._along, self._pose = kept
-            raise
+        self._room(turn, shift)  # a pose that is refused leaves no trace
+        for way in ways:
+            self._move(*way)
         return self._frame()
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
@@ -138,10 +137,9 @@ class LiveSensor:
         moved = (points - one[1]) @ one[0] @ other[0].T + other[1]
         return float(np.linalg.norm(moved - points, axis=1).max())
 
-    def _move(self, turn: Array, shift: Array) -> None:
-        """One increment: pressure, shear and thickness that go with each other at the new pose."""
-        layer, gel = self._layer, self._scene.gel
-        heights = self._object.heights(turn, shift, layer.x, layer.y)
+    def _room(self, turn: Array, shift: Array) -> tuple[Values, Values]:
+        """Heights of the object over the grid, and over the gel at rest [mm]."""
+        gel, heights = self._scene.gel, self._object.heights(turn, shift, self._layer.x, self._layer.y)
         room = heights - self._rest.astype(np.float32)
         overlap = -float(room.min())
         if overlap > DEEPEST * gel.thickness_mm:
@@ -149,25 +147,35 @@ class LiveSensor:
                 f"pose: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
                 f"{gel.thickness_mm:g} mm, so {DEEPEST * gel.thickness_mm:.2f} mm; press less deep, or use gelsim.press"
             )
-        if overlap <= 0 or self._pose is None:
-            drift: Any = np.zeros_like(self._along)
-        else:
+        return heights, room
+
+    def _move(self, turn: Array, shift: Array) -> None:
+        """One increment: pressure, shear and thickness that go with each other at the new pose."""
+        layer, gel = self._layer, self._scene.gel
+        heights, room = self._room(turn, shift)
+        lowest = float(room.min())
+        if lowest >= 0:
+            self.reset()
+            self._pose, self._clear = (turn, shift), lowest
+            return
+        drift: Any = np.float32(0.0)
+        if self._pose is not None and self._friction:
             # Where a point of the object that is now over a place came from.
             x, y = np.meshgrid(layer.x, layer.y)
             here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)])
             back = self._pose[0] @ turn.T
             was = np.einsum("ij,jyx->iyx", back, here - shift[:, None, None]) + self._pose[1][:, None, None]
-            drift = (here - was)[:2].astype(np.float32)
+            # Of a way that began in the air, the part from first touch on.
+            drift = (here - was)[:2].astype(np.float32) * np.float32(lowest / (lowest - self._clear))
         p, q, settled = self._pressure, self._shear, False
         for _ in range(gel_layer.ROUNDS):
             before = p
             lifted = layer.lifted(q) if self._friction else np.float32(0.0)
             p = gel_layer.pressure(layer, room - lifted, p)
-            if not p.any():
-                q = np.zeros_like(q)
-                break
             sunk = layer.sunk(p) - lifted
             total = float(p.sum())
+            if total == 0.0:  # a touch that is less than rounding
+                break
             thickness = float((p * (gel.thickness_mm + self._rest)).sum()) / total - self._thinning * float((p * sunk).sum()) / total
             same = abs(thickness / layer.thickness - 1) < gel_layer.SETTLED
             settled = same and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p))
@@ -181,17 +189,18 @@ class LiveSensor:
         self._pressure, self._shear = p, q
         self._along = layer.dragged(q) + layer.spread(p)
         self._deep = self._rest + layer.lifted(q) - layer.sunk(p)
-        self._pose = turn, shift
+        self._pose, self._clear = (turn, shift), 0.0
 
     def _frame(self) -> LiveFrame:
         layer = self._layer
         area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
-        traction = np.stack([*self._shear, -self._pressure]).astype(np.float64) * area
+        # Pressure acts along the normal of the gel at rest, as its work on a dome has it.
+        traction = np.stack([*(self._shear + self._pressure * self._slope), -self._pressure]).astype(np.float64) * area
         x, y = np.meshgrid(self.x, self.y)
         arm = np.stack([x, y, self._deep * MM])
-        spots = self._markers + self._displaced(self._markers[:, :2])
+        spots = self._markers + self.displaced(self._markers[:, :2])
         membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), spots)
-        image = self._drawer.draw(self._displaced, spots) if self._drawer else None
+        image = self._drawer.draw(self.displaced, spots) if self._drawer else None
         return LiveFrame(
             image,
             (self._deep * MM).astype(np.float32),
@@ -201,7 +210,7 @@ class LiveSensor:
             self._pressure > 0,
         )
 
-    def _displaced(self, places: Array) -> Array:
+    def displaced(self, places: Array) -> Array:
         """Displacements [m], (M, 3), of the material points of the surface that rest over places (M, 2) [m]."""
         rest = places * MM_PER_M
         at = rest

@@ -1,0 +1,61 @@
+"""Section `live-rate`: frames a second of `gelsim.LiveSensor`, on a way down and sideways in steps of 20 µm, after a first walk."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from gelsim.bench.live import scene_of
+from gelsim.bench.section import Case, Options, Row, Section
+from gelsim.errors import SolveStatus
+from gelsim.live.sensor import LiveSensor
+from gelsim.units import MM
+
+STEPS = 40
+
+
+def _rate(friction: float, image: bool) -> Row:
+    scene = scene_of("ball R 8")
+    sensor = LiveSensor(scene.replace(contact=replace(scene.contact, friction_coefficient=friction)), image=image)
+    wall, busy, slowest = [], [], 0.0
+    for walk in range(2):
+        sensor.reset()
+        for step in range(2 * STEPS):
+            down, aside = min(step, STEPS), max(step - STEPS, 0)
+            began, spent = time.perf_counter(), time.process_time()
+            sensor.step((aside * 0.02 * MM, 0.0, -down * 0.02 * MM, 1.0, 0.0, 0.0, 0.0), 0.01)
+            if walk:
+                wall.append(time.perf_counter() - began)
+                busy.append(time.process_time() - spent)
+    slowest = float(np.max(wall))
+    return {
+        "status": SolveStatus.CONVERGED.name,
+        "median_ms": round(1e3 * float(np.median(wall)), 2),
+        "slowest_ms": round(1e3 * slowest, 2),
+        "processor_ms": round(1e3 * float(np.median(busy)), 2),
+        "rate": round(1.0 / float(np.mean(wall)), 1),
+    }
+
+
+def _cases(options: Options) -> Iterator[Case]:
+    yield Case("no picture, no friction", partial(_rate, 0.0, False))
+    yield Case("no picture, friction", partial(_rate, 0.5, False))
+    yield Case("picture of 320 × 240, no friction", partial(_rate, 0.0, True))
+    yield Case("picture of 320 × 240, friction", partial(_rate, 0.5, True))
+
+
+SECTION = Section(
+    title="Live: frames a second",
+    columns=(
+        ("ball R 8, steps of 20 µm", "name"),
+        ("frames a second", "rate"),
+        ("median [ms]", "median_ms"),
+        ("slowest [ms]", "slowest_ms"),
+        ("of processor [ms]", "processor_ms"),
+    ),
+    cases=_cases,
+)
