@@ -15,7 +15,7 @@ from gelsim.errors import SolveStatus
 from gelsim.live.sensor import LiveSensor
 from gelsim.units import MM
 
-STEPS = 40
+WALK = 40
 
 
 def _rate(friction: float, image: bool) -> Row:
@@ -24,8 +24,8 @@ def _rate(friction: float, image: bool) -> Row:
     wall, busy, slowest = [], [], 0.0
     for walk in range(2):
         sensor.reset()
-        for step in range(2 * STEPS):
-            down, aside = min(step, STEPS), max(step - STEPS, 0)
+        for step in range(2 * WALK):
+            down, aside = min(step, WALK), max(step - WALK, 0)
             began, spent = time.perf_counter(), time.process_time()
             sensor.step((aside * 0.02 * MM, 0.0, -down * 0.02 * MM, 1.0, 0.0, 0.0, 0.0), 0.01)
             if walk:

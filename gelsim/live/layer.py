@@ -34,7 +34,7 @@ THINNING = 0.3
 GAP_TOLERANCE = 1e-3
 """Of the deepest overlap: gaps left in the contact, RMS."""
 SLIP_TOLERANCE = 5e-3
-"""Of the frictional bounds: what one more step would change; a looser one lets the history of slip drift."""
+"""Of the motion along the face: slip left where it sticks; and of the bounds μp: what one more step would change where it slides."""
 ROUNDS = 12
 """Between pressure, shear and thickness, at most."""
 SETTLED = 2e-3
@@ -83,10 +83,12 @@ class Layer:
     """A grid of cells over the gel, (rows, columns), and what tractions on them do. Displacements [mm], tractions [kPa]."""
 
     def __init__(self, size_mm: tuple[float, float], material: Elastic, cell_mm: float = CELL_MM) -> None:
-        counts = [2 * int(fft.next_fast_len(int(np.ceil(side / cell_mm / 2)), real=True)) for side in size_mm]
+        counts = [2 * int(fft.next_fast_len(int(np.ceil(side / cell_mm / 2)), real=True) or 1) for side in size_mm]
         self.material, self.shape = material, (counts[1], counts[0])
         self.cell = size_mm[0] / counts[0], size_mm[1] / counts[1]
-        self.x, self.y = ((np.arange(count) - (count - 1) / 2) * cell for count, cell in zip(counts, self.cell, strict=True))
+        self.x, self.y = (
+            cell * np.arange(0.5 - count / 2, count / 2, dtype=np.float64) for count, cell in zip(counts, self.cell, strict=True)
+        )
         """Of the cells' middles [mm]."""
         kx = 2 * np.pi * fft.rfftfreq(counts[0], self.cell[0])[None, :]
         ky = 2 * np.pi * fft.fftfreq(counts[1], self.cell[1])[:, None]
@@ -191,25 +193,26 @@ def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
 
     def projected(q: Values) -> Values:
         length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-        return q * np.where(length > bound, bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+        return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
 
-    total = float(np.linalg.norm(bound))
-    if total == 0.0:
+    touching = bound > 0
+    if not touching.any():
         return np.zeros_like(away)
+    allowed = SLIP_TOLERANCE * float(np.linalg.norm(away * touching)), SLIP_TOLERANCE * float(np.linalg.norm(bound))
     q = projected(start)
     way, before, free_before = np.zeros_like(q), 0.0, None
     slip = away + layer.dragged(q)
     step = layer.material.shear_kpa / layer.thickness
     for _ in range(STEPS):
-        # The last step's length says how far one more would go.
-        if float(np.linalg.norm(projected(q - np.float32(step) * slip) - q)) < SLIP_TOLERANCE * total:
-            break
         at_bound = q[0] ** 2 + q[1] ** 2 >= (np.float32(1 - 1e-5) * bound) ** 2
-        free = (bound > 0) & ~(at_bound & ((slip * q).sum(axis=0) < 0))
-        inside = np.where(free, slip, np.float32(0.0))
+        free = touching & ~(at_bound & ((slip * q).sum(axis=0) < 0))
+        inside = slip * free
+        change = (projected(q - np.float32(step) * slip) - q) * ~free
+        if float(np.linalg.norm(inside)) <= allowed[0] and float(np.linalg.norm(change)) <= allowed[1]:
+            break
         size = float(np.vdot(inside, inside))
         same = free_before is not None and np.array_equal(free, free_before)
-        way = inside + np.float32(size / before if same and before else 0.0) * np.where(free, way, np.float32(0.0))
+        way = inside + np.float32(size / before if same and before else 0.0) * (way * free)
         answer = layer.dragged(way)
         steep = float(np.vdot(answer, way))
         if steep > 0.0:

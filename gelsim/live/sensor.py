@@ -38,6 +38,8 @@ DEEPEST = 0.6
 """Indentation over thickness up to which it was measured; deeper ones are refused."""
 LOOKS = 3
 """For the place of a material point: u_t falls by half over a thickness at least, so each gains a factor of three or more."""
+STUCK = 0.999
+"""Of the frictional bound, below which it sticks."""
 STICK = 1e3
 """Coefficient of friction that stands for "stick"."""
 
@@ -86,7 +88,9 @@ class LiveSensor:
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
         self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
-        self._slope = np.stack(np.gradient(self._rest, *self._layer.cell[::-1])[::-1])
+        self._slope = np.stack(
+            [np.gradient(self._rest, cell, axis=axis) for axis, cell in ((1, self._layer.cell[0]), (0, self._layer.cell[1]))]
+        )
         self._object = Underside(scene.object)
         self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
         self._thinning = gel_layer.THINNING if self._friction else 0.0
@@ -100,6 +104,8 @@ class LiveSensor:
         shape = self._layer.shape
         self._pressure, self._shear = np.zeros(shape, np.float32), np.zeros((2, *shape), np.float32)
         self._along = np.zeros((2, *shape), np.float32)
+        # Motion along the face at which nothing slips. Where it sticks it is not taken from the solution, whose rounding would add up.
+        self._anchor = self._along
         self._deep = self._rest
         self._pose: tuple[Array, Array] | None = None
         self._clear = 0.0
@@ -125,9 +131,10 @@ class LiveSensor:
         if before is not None and self._pressure.any() and self._friction:
             pieces = max(1, math.ceil(self._travel(before, (turn, shift)) / MOST_TRAVEL_MM))
             ways = [_between(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
-        self._room(turn, shift)  # a pose that is refused leaves no trace
-        for way in ways:
-            self._move(*way)
+        last = self._room(turn, shift)  # before anything moves: a pose that is refused leaves no trace
+        for way in ways[:-1]:
+            self._move(way, self._room(*way))
+        self._move((turn, shift), last)
         return self._frame()
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
@@ -149,10 +156,10 @@ class LiveSensor:
             )
         return heights, room
 
-    def _move(self, turn: Array, shift: Array) -> None:
+    def _move(self, pose: tuple[Array, Array], seen: tuple[Values, Values]) -> None:
         """One increment: pressure, shear and thickness that go with each other at the new pose."""
         layer, gel = self._layer, self._scene.gel
-        heights, room = self._room(turn, shift)
+        (turn, shift), (heights, room) = pose, seen
         lowest = float(room.min())
         if lowest >= 0:
             self.reset()
@@ -167,6 +174,7 @@ class LiveSensor:
             was = np.einsum("ij,jyx->iyx", back, here - shift[:, None, None]) + self._pose[1][:, None, None]
             # Of a way that began in the air, the part from first touch on.
             drift = (here - was)[:2].astype(np.float32) * np.float32(lowest / (lowest - self._clear))
+        anchor = self._anchor + drift
         p, q, settled = self._pressure, self._shear, False
         for _ in range(gel_layer.ROUNDS):
             before = p
@@ -184,10 +192,12 @@ class LiveSensor:
             if not same:
                 layer.thin(thickness)
             if self._friction:
-                away = layer.spread(p) - self._along - drift
+                away = layer.spread(p) - anchor
                 q = gel_layer.shear(layer, away, np.float32(self._friction) * p, q)
         self._pressure, self._shear = p, q
         self._along = layer.dragged(q) + layer.spread(p)
+        stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK * self._friction) * p) ** 2
+        self._anchor = np.where(stuck, anchor, self._along)
         self._deep = self._rest + layer.lifted(q) - layer.sunk(p)
         self._pose, self._clear = (turn, shift), 0.0
 
@@ -260,7 +270,7 @@ def _pose(pose: ArrayLike) -> tuple[Array, Array]:
     if abs(length - 1) > 1e-3:
         raise SceneError(f"pose: its quaternion has the length {length:.4g}; allowed is 1 (w, x, y, z; no turn is 1, 0, 0, 0)")
     if np.abs(values[:3]).max() > 1.0:
-        raise SceneError(f"pose: {values[:3].tolist()} m is over 1 m away; allowed are metres in the gel's frame, for example 0, 0, -0.0005")
+        raise SceneError(f"pose: {values[:3].tolist()} m is over 1 m away; allowed are metres in the gel's frame, such as 0, 0, -0.0005")
     w, x, y, z = values[3:] / length
     turn = np.array(
         [
