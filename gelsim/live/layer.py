@@ -191,17 +191,18 @@ def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
         start: A first guess.
     """
 
-    def projected(q: Values) -> Values:
+    def projected(q: NDArray[np.floating]) -> Values:
         length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-        return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+        return (q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))).astype(np.float32, copy=False)
 
     touching = bound > 0
     if not touching.any():
         return np.zeros_like(away)
     allowed = SLIP_TOLERANCE * float(np.linalg.norm(away * touching)), SLIP_TOLERANCE * float(np.linalg.norm(bound))
     q = projected(start)
-    way, before, free_before = np.zeros_like(q), 0.0, None
-    slip = away + layer.dragged(q)
+    way: Values = np.zeros_like(q)
+    before, free_before = 0.0, None
+    slip: Values = away + layer.dragged(q)
     step = layer.material.shear_kpa / layer.thickness
     for _ in range(STEPS):
         at_bound = q[0] ** 2 + q[1] ** 2 >= (np.float32(1 - 1e-5) * bound) ** 2
@@ -217,8 +218,7 @@ def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
         steep = float(np.vdot(answer, way))
         if steep > 0.0:
             step = float(np.vdot(inside, way)) / steep
-        trial = q - np.float32(step) * np.where(free, way, slip)
-        q = projected(trial)
+        q = projected(q - np.float32(step) * (way + slip * ~free))
         slip = away + layer.dragged(q)
         before, free_before = size, free
     return q

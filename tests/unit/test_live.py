@@ -166,6 +166,23 @@ def test_history_slide_release_and_reset() -> None:
     assert np.array_equal(again[1].height, same[1].height) and np.array_equal(again[1].force, same[1].force)
 
 
+def test_many_small_steps_end_where_few_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sheared while pressed, in 8 and in 128 steps: within what 8 increments of friction are off by (2 % of the shear force)."""
+
+    def end(count: int) -> float:
+        sensor.reset()
+        for part in np.linspace(0, 1, count + 1)[1:]:
+            frame = at(sensor, 0.8 * part, 0, -0.8 * part)
+        return float(frame.force[0])
+
+    sensor = LiveSensor(scene(0.5), image=False)
+    many = end(128)
+    assert end(8) == pytest.approx(many, rel=0.03)
+    monkeypatch.setattr("gelsim.live.sensor.STUCK", 0.0)  # planted: what sticks is not held, and what each step leaves adds up
+    monkeypatch.setattr(gel_layer, "SLIP_TOLERANCE", 0.1)
+    assert end(128) != pytest.approx(many, rel=0.03)
+
+
 def test_the_underside_of_a_ball_at_any_tilt() -> None:
     body = Body(shape="hemisphere", radius_mm=4.0, height_mm=8.0, rigid=True)
     seen = Underside(body)
