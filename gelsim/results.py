@@ -31,6 +31,8 @@ class Deformation:
 
     approach: NDArray[np.float64]
     """Travel of the object's base toward the window [m], shape (N,)."""
+    time: NDArray[np.float64]
+    """From the first state [s], shape (N,)."""
     force: NDArray[np.float64]
     """Force on the gel by the object [N], shape (N, 3)."""
     contact_area: NDArray[np.float64]

@@ -32,8 +32,10 @@ from numpy.typing import NDArray
 
 from gelsim.geometry import QuadraticSurface
 from gelsim.scene.definition import Body, Scene
+from gelsim.scene.motion import widest
 from gelsim.shape import outlines, shapes
 from gelsim.shape.mesh_file import file_stamp
+from gelsim.shape.orientation import turned
 from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
@@ -270,18 +272,17 @@ MARGIN_MM = 0.6
 
 def distance_field(scene: Scene) -> DistanceField:
     """The field of a scene's rigid object, over what of it may come to touch the gel."""
-    press, gel = scene.press, scene.gel
+    gel, way = scene.gel, widest(scene)
     travel = shapes.furthest_approach(scene) * MM_PER_M
-    half = np.array(gel.size_mm) / 2 + np.abs(press.shear_mm) + MARGIN_MM
+    half = np.array(gel.size_mm) / 2 + way.sideways + MARGIN_MM
     shift = shapes.first_touch(scene)[2] * MM_PER_M
+    if way.turns[2] or way.rolls:  # a pivot beside the apex makes that go sideways
+        half += np.abs(shift[:2] - scene.press.offset_mm)
     drop = -float(shapes.gel_height(gel, np.array([gel.size_mm]) / 2 / MM_PER_M).min()) * MM_PER_M  # of a dome, at its corners
     low = np.array([*(-half - shift[:2]), -MARGIN_MM - drop - shift[2]])
     high = np.array([*(half - shift[:2]), 1.25 * travel + MARGIN_MM - shift[2]])
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
-    corners = corners @ shapes.rotation(scene)  # of the object's frame
-    if press.twist_deg:
-        reach = np.linalg.norm(corners[:, :2], axis=1).max()
-        corners[:, :2] = np.sign(corners[:, :2]) * reach
+    corners = np.vstack([corners @ turned(turn) for turn in way.turns_on_way()])  # of the object's frame
     return _field(scene.object, file_stamp(scene.object), tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
 
 

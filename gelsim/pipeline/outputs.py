@@ -101,11 +101,9 @@ class ResultFolder:
 def press_arrays(scene: Scene, deformation: Deformation) -> dict[str, NDArray]:
     """The arrays of press.npz: name -> array in SI units (table in README.md)."""
     d = deformation
-    time = d.approach / (scene.press.speed_mm_s * MM)
-    time[1:][np.diff(d.approach) == 0.0] += scene.press.hold_s  # the state after a hold, where the press has not moved on
     return {
         "approach": d.approach,
-        "time": time,
+        "time": d.time,
         "force": d.force,
         "contact_area": d.contact_area,
         "contact_pressure": d.contact_pressure,

@@ -76,15 +76,20 @@ def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
 
 
 def _item(items: typing.Sequence[typing.Any], index: int, hint: typing.Any, name: str) -> typing.Any:
-    with within(which(items, index)):
+    with within(which(items, index, whats(name))):
         return convert(items[index], hint, name)
 
 
-def which(lights: typing.Sequence[typing.Any], index: int) -> str:
-    """Which of the lights, tables or dataclasses, for messages: "light 2 of 4, 'green'"."""
-    light = lights[index]
-    name = light.get("name") if isinstance(light, dict) else getattr(light, "name", None)
-    return f"light {index + 1} of {len(lights)}" + (f", {name!r}" if isinstance(name, str) else "")
+def which(items: typing.Sequence[typing.Any], index: int, what: str = "light") -> str:
+    """Which of the lights or waypoints (`what`), tables or dataclasses, for messages: "light 2 of 4, 'green'"."""
+    item = items[index]
+    name = item.get("name") if isinstance(item, dict) else getattr(item, "name", None)
+    return f"{what} {index + 1} of {len(items)}" + (f", {name!r}" if isinstance(name, str) else "")
+
+
+def whats(name: str) -> str:
+    """What the tables in a field are called."""
+    return "waypoint" if name == "press.path" else "light"
 
 
 def known_key(key: str, section: type, name: str) -> bool:

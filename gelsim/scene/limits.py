@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 from gelsim.errors import SceneError, within
 from gelsim.scene import materials
-from gelsim.scene.fields import nearest, which
+from gelsim.scene.fields import nearest, whats, which
 from gelsim.scene.shape_table import SHAPES
 from gelsim.units import MESH_UNITS, unit_of
 
@@ -82,6 +82,12 @@ LIMITS: dict[str, tuple[float, float]] = {
     "press.twist_deg": (-90, 90),
     "press.speed_mm_s": (1e-3, 1000),
     "press.hold_s": (0, 1e5),
+    "press.path.duration_s": (1e-3, 1e5),
+    "press.path.depth_mm": (-50, 50),
+    "press.path.force_n": (1e-3, 1000),
+    "press.path.shear_mm": (-50, 50),
+    "press.path.twist_deg": (-180, 180),
+    "press.path.tilt_deg": (-90, 90),
     "camera.resolution": (16, 4096),
     "camera.field_mm": (1, 100),
     "camera.distance_mm": (1, 1000),
@@ -138,7 +144,7 @@ def check_limits(section: object, name: str = "") -> None:
             check_limits(value, full)
         elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
             for index, part in enumerate(value):
-                with within(which(value, index)):
+                with within(which(value, index, whats(full))):
                     check_limits(part, full)
         if full in CHOICES and value not in CHOICES[full]:
             hint = nearest(str(value), CHOICES[full])
