@@ -62,6 +62,19 @@ class Deformation:
         """Whether it ended where no equilibrium was found, short of its depth and its force."""
         return self.status is not SolveStatus.CONVERGED or self.info.get("ended_by") == PressEnd.LOST
 
+    @property
+    def along(self) -> tuple[str, NDArray[np.float64]]:
+        """What curves of the press are drawn against, with its name: approach [mm], or time [s] where that does not always grow."""
+        if (np.diff(self.approach) > 0.0).all():
+            return "approach [mm]", 1e3 * self.approach
+        return "time [s]", self.time
+
+    @property
+    def telling(self) -> int:
+        """Number of the state that shows the press best: the last that carries at least half of the largest normal force."""
+        force = -self.force[:, 2]
+        return int(np.flatnonzero(force >= 0.5 * force.max())[-1])
+
     def warn(self, told: str) -> None:
         """Adds a sentence to the warnings of report.json."""
         self.info["warnings"] = [*self.info.get("warnings", []), told]  # type: ignore[misc]

@@ -42,8 +42,9 @@ class EnergyBalance:
         self._legs: list[int] = []
         """Number of steps before each leg."""
         self.jump = 0.0, 0.0
-        """The largest share of a step's work that went nowhere, and the approach [m] that the step ended at; but for the first two, whose
-        work is not known so well."""
+        """What went nowhere in a step, as a share of the most work of a step so far, where that is largest, and the approach [m] that the
+        step ended at; but for the first two that did work, whose work is not known so well."""
+        self._works, self._most = 0, 0.0
         self._stored = self._changed = self._lost = self._overlap_work = 0.0
         self._internal = self._u = np.zeros_like(problem.solids.rest)
         nodes, points = len(problem.driven), len(problem.contact.rest_weight)
@@ -84,8 +85,11 @@ class EnergyBalance:
             self._traction = traction
         self._pressure, self._overlap = pressure, overlap
         work = _power_law_work(time - spacing, time, begin, end)
-        if len(self._power) > 2 and work > _SEEN:
-            self.jump = max(self.jump, (1.0 - (self._held - before) / work, approach))
+        if work > _SEEN:
+            self._works += 1
+            self._most = max(self._most, work)
+            if self._works > 2:
+                self.jump = max(self.jump, ((work - (self._held - before)) / self._most, approach))
 
     @property
     def _held(self) -> float:

@@ -249,7 +249,7 @@ class Press:
         several = self.force_n
         if isinstance(several, list | tuple):
             if self.path or self.path_csv or self.depth_mm not in (Press.depth_mm, None, "none"):
-                raise SceneError(f"press.force_n = {list(several)}: several forces are a path of their own; leave out depth_mm, path, path_csv")
+                raise SceneError(f"press.force_n = {list(several)}: several forces are a path of their own; leave out depth_mm and path")
             object.__setattr__(self, "path", tuple(Waypoint(force_n=force) for force in several))
             object.__setattr__(self, "force_n", None)
         if self.path or self.path_csv not in (None, "none"):
@@ -495,7 +495,10 @@ def _check_path(scene: Scene) -> None:
     if press.path_csv is not None:
         return
     if press.frames <= len(press.path):
-        raise SceneError(f"press.frames = {press.frames}: a path of {len(press.path)} waypoints records them all; allowed is {len(press.path) + 1} or more")
+        least = len(press.path) + 1
+        raise SceneError(
+            f"press.frames = {press.frames}: a path of {len(press.path)} waypoints records them all; allowed is {least} or more"
+        )
     for index, point in enumerate(press.path):
         with within(which(press.path, index, "waypoint")):
             if point.depth_mm is not None and point.force_n is not None:

@@ -1,7 +1,7 @@
 """A measured trajectory of the object's apex, `press.path_csv`: time, place and turn, row by row.
 
-Columns t_s, x_mm, y_mm, z_mm, rx_deg, ry_deg, rz_deg: the apex in the project's frame (z = 0 is the gel's outer face at its centre), and the
-turn from how the object stands ([object]) about x, then y, then z. Columns of turns may be left out.
+Columns t_s, x_mm, y_mm, z_mm, rx_deg, ry_deg, rz_deg: the apex in the project's frame (z = 0 is the gel's outer face at its centre), and
+the turn from how the object stands ([object]) about x, then y, then z. Columns of turns may be left out.
 """
 
 from __future__ import annotations

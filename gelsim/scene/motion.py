@@ -54,7 +54,7 @@ class Motion:
         return int(np.searchsorted(self.time, time * (1 + 1e-12), side="right"))
 
     def at(self, leg: int, time: float) -> tuple[float, float, Array, Array]:
-        """Approach [mm] and force [N], NaN where the leg is not driven by it, shear [mm] (2,) and turn [degrees] (3,) at a time of a leg."""
+        """At a time [s] of a leg: approach [mm] and force [N], NaN where that does not drive it, shear [mm] (2,), turn [degrees] (3,)."""
         begin, end = leg - 1, leg
         share = (time - self.time[begin]) / (self.time[end] - self.time[begin])
 

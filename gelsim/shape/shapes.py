@@ -298,7 +298,6 @@ def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:
 
 def near_gel(scene: Scene, surface: TriMesh) -> TriMesh:
     """Those of an object's faces that may come within NEAR of the gel."""
-    press = scene.press
     turn, shift = placement(scene, quadratic_faces(surface.vertices, surface.faces))
     corners = (surface.vertices @ turn.T + shift)[surface.faces]
     way = widest(scene)

@@ -137,6 +137,7 @@ def _press_facts(press: Deformation) -> dict[str, Any]:
     return {
         "status": press.status.value,
         "states": len(press.approach),
+        "time_s": press.time,
         "approach_mm": press.approach / MM,
         "normal_force_n": np.abs(press.force[:, 2]),
         "contact_area_mm2": press.contact_area / MM**2,
