@@ -11,9 +11,6 @@ import math
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gelsim.errors import SceneError
 from gelsim.scene.fields import nearest
 
@@ -21,8 +18,8 @@ COLUMNS = ("t_s", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 NEEDED = COLUMNS[:4]
 
 
-def measured_path(path: str) -> NDArray[np.float64]:
-    """The rows of a trajectory's file (K, 7), in the order of COLUMNS; it is read again when it has changed.
+def measured_path(path: str) -> tuple[tuple[float, ...], ...]:
+    """The rows of a trajectory's file, numbers in the order of COLUMNS; it is read again when it has changed.
 
     Raises:
         SceneError: It cannot be read, has other columns, fewer than two rows, a cell that is no number, or times that do not grow.
@@ -35,7 +32,7 @@ def measured_path(path: str) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=4)
-def _read(path: str, stamp: tuple[int, int]) -> NDArray[np.float64]:
+def _read(path: str, stamp: tuple[int, int]) -> tuple[tuple[float, ...], ...]:
     name = f"press.path_csv = {path!r}"
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -48,10 +45,10 @@ def _read(path: str, stamp: tuple[int, int]) -> NDArray[np.float64]:
             raise SceneError(f"{name}: unknown column {column!r}{nearest(column, COLUMNS) or '; known are ' + ', '.join(COLUMNS)}")
     if missing := [column for column in NEEDED if column not in header]:
         raise SceneError(f"{name}: the column {missing[0]} is missing; needed are {', '.join(NEEDED)}")
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for number, line in enumerate(lines, start=2):
         try:
-            row = [float(line[column]) if column in header else 0.0 for column in COLUMNS]
+            row = tuple(float(line[column]) if column in header else 0.0 for column in COLUMNS)
         except (TypeError, ValueError):
             raise SceneError(f"{name}: line {number} holds a cell that is no number") from None
         if not all(map(math.isfinite, row)):
@@ -61,4 +58,4 @@ def _read(path: str, stamp: tuple[int, int]) -> NDArray[np.float64]:
         rows.append(row)
     if len(rows) < 2:
         raise SceneError(f"{name}: holds {len(rows)} rows; a motion needs two or more")
-    return np.array(rows)
+    return tuple(rows)

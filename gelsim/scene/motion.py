@@ -132,7 +132,7 @@ def straight(press: Press, depth_mm: float, hold: bool = True) -> Motion:
 def motion(press: Press) -> Motion | None:
     """The motion that a path says, one way or the other; None of the short form (`straight`)."""
     if press.path_csv is not None:
-        rows = measured_path(press.path_csv)
+        rows = np.array(measured_path(press.path_csv))
         time, count = rows[:, 0] - rows[0, 0], len(rows)
         recorded = np.linspace(0.0, time[-1], press.frames)
         shear = rows[:, 1:3] - rows[0, 1:3]
