@@ -127,7 +127,7 @@ def draw_force(axes: Any, deformation: Deformation) -> None:
     area.set_ylabel("contact area [mm²]", color="#b5562b", labelpad=1)
     area.tick_params(colors="#b5562b")
     handles = [*axes.get_lines(), *area.get_lines()]
-    axes.legend(handles, [line.get_label() for line in handles], fontsize=8, loc="upper left", frameon=False)
+    axes.legend(handles, [line.get_label() for line in handles], fontsize=8, loc="upper left" if name[0] == "a" else "best", frameon=False)
     for side in (axes, area):
         side.set_ylim(bottom=0)
         side.spines["top"].set_visible(False)

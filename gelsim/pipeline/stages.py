@@ -586,7 +586,7 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
         "final": {
             "frames": len(deformation.approach),
             "approach_mm": deformation.approach[-1] * 1e3,
-            "normal_force_n": -deformation.force[-1, 2],
+            "normal_force_n": 0.0 - deformation.force[-1, 2],
             "force_n": deformation.force[-1],
             "largest_force_n": -deformation.force[:, 2].min(),
             "contact_area_mm2": deformation.contact_area[-1] * 1e6,

@@ -65,9 +65,9 @@ class Motion:
         return known, float(between(self.force)) if self.by_force[leg] else np.nan, between(self.shear), between(self.turn)
 
     def reached(self, knot: int, approach: float, force: float) -> Motion:
-        """With a knot's approach [mm] and force [N] as they were found."""
+        """With what is not said of a knot, its approach [mm] or its force [N], as it was found."""
         approaches, forces = self.approach.copy(), self.force.copy()
-        approaches[knot], forces[knot] = approach, force
+        (approaches if self.by_force[knot] else forces)[knot] = approach if self.by_force[knot] else force
         return replace(self, approach=approaches, force=forces)
 
     def stays_from(self, leg: int, time: float) -> Motion:
