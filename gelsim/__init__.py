@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gelsim.data.episodes import load_dataset
     from gelsim.errors import GelsimError, SceneError, SolveError
+    from gelsim.pipeline.poses import press_many
     from gelsim.pipeline.stages import press, press_batch, press_sensitivity, render, simulate
     from gelsim.results import Deformation, Episode, Frame, Membrane, PressSensitivity
     from gelsim.scene.definition import Scene
@@ -34,6 +35,7 @@ _HOMES = {
     "load_scene": "gelsim.scene.layers",
     "press": "gelsim.pipeline.stages",
     "press_batch": "gelsim.pipeline.stages",
+    "press_many": "gelsim.pipeline.poses",
     "press_sensitivity": "gelsim.pipeline.stages",
     "render": "gelsim.pipeline.stages",
     "simulate": "gelsim.pipeline.stages",
@@ -53,6 +55,7 @@ __all__ = [
     "load_scene",
     "press",
     "press_batch",
+    "press_many",
     "press_sensitivity",
     "render",
     "simulate",

@@ -1,8 +1,8 @@
 """Section `motion`: presses that slide, come back and let go, beside what theory says of them.
 
-- Cattaneo (1938) and Mindlin (1949), here after Johnson 1985, Contact Mechanics, §7.2: a ball pressed by N on a half-space and dragged by δ
-  slips from its rim inward, Q = μ N (1 - (1 - δ/δ₁)^(3/2)) with δ₁ = 3 μ N (2 - ν)/(16 G a), a of Hertz for that N. At ν = ½ nothing couples
-  normal and tangential displacements, which that theory leaves out.
+- Cattaneo (1938) and Mindlin (1949), here after Johnson 1985, Contact Mechanics, §7.2: a ball pressed by N on a half-space and dragged
+  by δ slips from its rim inward, Q = μ N (1 - (1 - δ/δ₁)^(3/2)) with δ₁ = 3 μ N (2 - ν)/(16 G a), a of Hertz for that N. At ν = ½
+  nothing couples normal and tangential displacements, which that theory leaves out.
 - What the object does in work on a way that ends where it began is what friction has taken.
 - What is mirrored has mirrored forces.
 """

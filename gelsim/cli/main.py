@@ -262,6 +262,12 @@ def _add_again(
 def _add_common(parser: Parser, run: Callable[[argparse.Namespace], dict[str, Any]]) -> None:
     parser.add_argument("--scene", metavar="FILE", help="start from a scene file (TOML)")
     parser.add_argument("--out", metavar="DIR", help="result folder (default: out/SHAPE-HARDNESS)")
+    parser.add_argument(
+        "--poses",
+        metavar="FILE.csv",
+        help="many presses in one run: columns are fields of the scene (offset_mm, press.tilt_deg, …), a row a pose; a folder of each "
+        "in --out, named by the column name or counted, and poses.csv of what they gave (default: out/SHAPE-HARDNESS-poses)",
+    )
     _add_again(
         parser,
         force="replace the results in an existing folder; other files in it stay",
@@ -300,10 +306,10 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
     probe = getattr(options, "probe", None)
     from gelsim.pipeline import stages
 
-    with progress_bars() as progress:
-        report = stages.run(
+    def run(scene: Scene, out: Path, progress: stages.Progress | None = None) -> dict[str, Any]:
+        return stages.run(
             scene,
-            Path(options.out) if options.out else _default_folder(scene),
+            out,
             render_frames=render,
             force=options.force,
             resume=options.resume,
@@ -312,9 +318,29 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
             radiance=getattr(options, "exr", False),
             progress=progress,
         )
+
+    if options.poses:
+        return _run_poses(options, scene, run, render)
+    with progress_bars() as progress:
+        report = run(scene, Path(options.out) if options.out else _default_folder(scene), progress)
     if not options.json:
         print(stages.summary(report))
     return report
+
+
+def _run_poses(options: argparse.Namespace, scene: Scene, run: Callable[[Scene, Path], dict[str, Any]], drawn: bool) -> dict[str, Any]:
+    from gelsim.pipeline import poses
+
+    out = Path(options.out) if options.out else _default_folder(scene).with_name(f"{_default_folder(scene).name}-poses")
+    table = poses.read_poses(Path(options.poses), scene)
+    with progress_bars() as progress:
+        result = poses.run_many(table, out, run, drawn=drawn, force=options.force, resume=options.resume, progress=progress)
+    if not options.json:
+        rate = f", {result['seconds_a_pose']:.2f} s each" if result["made"] else ""
+        print(f"{result['out']}/{poses.TABLE}: {result['poses']} poses, {result['made']} made now{rate}")
+    for item in result["failed"]:
+        print(f"gelsim: failed: {item['pose']}: {item['message']}", file=sys.stderr)
+    return result | ({"exit_code": PARTIAL} if result["failed"] else {})
 
 
 def _inspect(options: argparse.Namespace) -> dict[str, Any]:

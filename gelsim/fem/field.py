@@ -90,7 +90,7 @@ class DistanceField:
 
         place = (points - self.origin) / self.spacing
         inside = np.clip(place, 1.0, np.array(self.samples.shape) - 2.0)
-        found = map_coordinates(self.samples.astype(np.float64), inside.T, order=3, mode="nearest", prefilter=False)
+        found = map_coordinates(self.samples, inside.T, output=np.float64, order=3, mode="nearest", prefilter=False)
         return found + self.spacing * np.linalg.norm(place - inside, axis=1)
 
 
@@ -266,6 +266,8 @@ def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], s
 
 
 # ---------------------------------------------------------------------------------------------------------------- of a press
+STEP_MM = 0.5
+"""Of the corners of the grid's box."""
 MARGIN_MM = 0.6
 """Of the grid around the part of the object that the gel may come to."""
 
@@ -283,16 +285,24 @@ def distance_field(scene: Scene) -> DistanceField:
     high = np.array([*(half - shift[:2]), 1.25 * travel + MARGIN_MM - shift[2]])
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
     corners = np.vstack([corners @ turned(turn) for turn in way.turns_on_way()])  # of the object's frame
-    return _field(scene.object, file_stamp(scene.object), tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
+    stamp = file_stamp(scene.object)
+    first, last = _extent(scene.object, stamp)
+    # in whole steps, so that poses that differ a little share a grid
+    begin = np.maximum(np.floor(corners.min(axis=0) / STEP_MM) * STEP_MM, first - MARGIN_MM)
+    end = np.minimum(np.ceil(corners.max(axis=0) / STEP_MM) * STEP_MM, last + MARGIN_MM)
+    return _field(scene.object, stamp, tuple(begin), tuple(end))
 
 
-@lru_cache(maxsize=4)
-def _field(body: Body, stamp: tuple[int, ...], low: tuple[float, ...], high: tuple[float, ...]) -> DistanceField:
-    surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
-    extent = surface.vertices * MM_PER_M
-    begin = np.maximum(low, extent.min(axis=0) - MARGIN_MM)
-    end = np.minimum(high, extent.max(axis=0) + MARGIN_MM)
-    return sampled(exact_distance(body), begin, end, spacing(body))
+@lru_cache(maxsize=16)
+def _extent(body: Body, stamp: tuple[int, ...]) -> tuple[Array, Array]:
+    """Opposite corners of the box of an object [mm], in its frame."""
+    vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
+@lru_cache(maxsize=16)
+def _field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...]) -> DistanceField:
+    return sampled(exact_distance(body), np.array(begin), np.array(end), spacing(body))
 
 
 def spacing(body: Body) -> float:
@@ -320,6 +330,10 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
     step, half = 0.1, np.array(scene.gel.size_mm) / 2
     lines = [np.linspace(-h, h, 1 + 2 * int(np.ceil(h / step))) for h in half]
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    under = (surface.nodes @ turn.T)[:, :2] * MM_PER_M + low[:2]
+    first, last = under.min(axis=0) - step, under.max(axis=0) + step
+    first = np.where([axis in shapes.press_symmetry(scene) for axis in "xy"], -last, first)
+    places = places[((places >= first) & (places <= last)).all(axis=1)]
     for _ in range(4):
         points = np.column_stack([places, shapes.gel_height(scene.gel, places / MM_PER_M) * MM_PER_M])
         near = np.arange(len(points))
