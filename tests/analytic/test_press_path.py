@@ -12,8 +12,8 @@ import pytest
 import gelsim
 from gelsim.bench import closed_forms, motion
 from gelsim.bench.section import Known
-from gelsim.errors import PressEnd, SceneError
-from gelsim.fem import problem
+from gelsim.errors import PressEnd, SceneError, SolveStatus
+from gelsim.fem import problem, quasistatic
 from gelsim.fem.contact import ContactLaw
 from gelsim.fem.quasistatic import FORCE_TOLERANCE
 from gelsim.results import Deformation
@@ -103,3 +103,25 @@ def test_a_measured_path_that_begins_in_the_gel_is_refused(tmp_path: Path) -> No
     (tmp_path / "deep.csv").write_text("t_s,x_mm,y_mm,z_mm\n0,0,0,-0.1\n1,0,0,-0.2\n")
     with pytest.raises(SceneError, match="path_csv begins 0.1 mm below first touch"):
         pressed({"path_csv": str(tmp_path / "deep.csv")})
+
+
+def test_a_path_that_is_lost_goes_on_by_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first try finds nothing beyond half of its slide, under a force; the one that goes on from there ends where the first would."""
+    way = [{"force_n": 0.1}, {"shear_mm": [0.2, 0.0]}, {"depth_mm": 0.1}]
+    expected = pressed({"path": way, "frames": 7}, 0.8)
+    attempt = quasistatic._March._attempt  # pyright: ignore[reportPrivateUsage]
+
+    def ends(march, here, new, approach, **again):  # type: ignore[no-untyped-def]
+        if not march.problem.held and new > 1.5 + 1e-9:
+            march.status = SolveStatus.MAX_ITERATIONS
+            return False
+        return (yield from attempt(march, here, new, approach, **again))
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
+    press = pressed({"path": way, "frames": 7}, 0.8)
+    assert press.info["ended_by"] == PressEnd.PATH and press.info["tried"] == 2 and len(press.time) == 7
+    assert press.time == pytest.approx(expected.time)
+    assert press.info["went_on_from_mm"] == [pytest.approx(1e3 * press.approach[3], abs=1e-3)]
+    # volume that is held makes a mesh at `fast` up to 2 % stiffer (docs/mechanics.md): less deep by 2/3 of that at the same force
+    assert press.approach[:5] == pytest.approx(expected.approach[:5], rel=0.015, abs=1e-6)
+    assert press.force[:5, 0] == pytest.approx(expected.force[:5, 0], abs=0.02 * 0.1)
