@@ -29,7 +29,8 @@ def main(quick: bool = False, path: Path = FIGURE) -> dict[str, float]:
     """
     scene = gelsim.load_scene(SCENE)
     if quick:
-        scene = scene.replace(fidelity="fast", press=replace(scene.press, frames=16), render=replace(scene.render, resolution=(80, 60), spp=1))
+        small = replace(scene.render, resolution=(80, 60), spp=1)
+        scene = scene.replace(fidelity="fast", press=replace(scene.press, frames=16), render=small)
     press, frames = gelsim.simulate(scene)
     states = {name: int(np.abs(press.time - moment).argmin()) for name, moment in SHOWN_S.items()}
     lags = {name: lag(press, states["pressed"], state) for name, state in states.items()}

@@ -22,7 +22,7 @@ from gelsim.console import ShowVersion, progress_bars
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene, read_layer, scene_table
-from gelsim.scene.limits import LIMITS
+from gelsim.scene.limits import CHOICES, LIMITS
 from gelsim.study import STUDIES
 
 OK, INTERNAL, BAD_INPUT, NUMERICS, PARTIAL, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -235,7 +235,12 @@ def _parser() -> Parser:
         help="of a press: one page with both bodies in 3D, pictures and force; works offline (default: page.html beside press.npz)",
     )
     inspect.add_argument("--vtu", metavar="DIR", help="of a press: surfaces by state for ParaView, press.pvd")
-    inspect.add_argument("--mesh-unit", default="mm", choices=("mm", "cm", "m", "in"), help="unit of a mesh file (default: mm)")
+    inspect.add_argument("--mesh-unit", choices=CHOICES["object.mesh_unit"], help="unit of a mesh file (default: mm)")
+    inspect.add_argument("--mesh-scale", type=float, metavar="NUMBER", help="multiplies a mesh file's numbers (default: 1)")
+    inspect.add_argument(
+        "--press-side", choices=CHOICES["object.press_side"], help="side of a mesh file's part that faces the gel (bottom)"
+    )
+    inspect.add_argument("--rotation-deg", type=float, nargs=3, metavar=("X", "Y", "Z"), help="turn it about x, then y, then z")
     inspect.add_argument("--force", action="store_true", help="write over an existing --out")
     doctor = commands.add_parser("doctor", help="what this machine can run, and what to install for more")
     for command, run in ((inspect, _inspect), (doctor, _doctor)):
@@ -352,7 +357,8 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     if options.out and Path(options.out).suffix.lower() != ".png":
         raise SceneError(f"--out {options.out}: what is drawn is a .png")
     sensor = build_scene({"sensor": {"preset": options.sensor}}) if options.sensor else None
-    facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit) if sensor is None else inspection.inspect_sensor(sensor)
+    standing = {name: getattr(options, name) for name in inspection.STANDING if getattr(options, name) is not None}
+    facts = inspection.inspect(Path(options.path), **standing) if sensor is None else inspection.inspect_sensor(sensor)
     if options.html == "":
         given = Path(options.path or ".")
         options.html = str((given if given.is_dir() else given.parent) / "page.html")
@@ -367,7 +373,7 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     if options.out:
         out = Path(options.out)
         if sensor is None:
-            inspection.draw(Path(options.path), out, mesh_unit=options.mesh_unit)
+            inspection.draw(Path(options.path), out, **standing)
         else:
             inspection.draw_sensor(sensor, out)
         facts["drawing"] = str(out)

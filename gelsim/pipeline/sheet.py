@@ -221,7 +221,7 @@ def draw_surface(path: Path, vertices: Array, faces: NDArray[np.int64], title: s
     views = {
         "front: x right, z up": ("x", "z"),
         "side: y right, z up": ("y", "z"),
-        "from below, as the gel sees it: x right, y down": ("x", "y"),
+        "from below, as the gel sees it; + touches first": ("x", "y"),
     }
     corners = vertices[faces] / MM
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -236,6 +236,7 @@ def draw_surface(path: Path, vertices: Array, faces: NDArray[np.int64], title: s
         colour = (np.array(to_rgb(OBJECT_COLOUR)) * shade)[order]
         axes.add_collection(PolyCollection(list(corners[order][:, :, [a, b]]), facecolors=colour, edgecolors=colour * 0.75, linewidths=0.3))
         axes.autoscale_view()
+        axes.plot(0.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.6, zorder=3)
         axes.set_aspect("equal")
         if letters == ("x", "y"):
             axes.invert_yaxis()
