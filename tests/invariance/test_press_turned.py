@@ -12,7 +12,7 @@ from gelsim.results import Deformation
 from gelsim.scene.layers import build_scene
 
 SAME = 0.044
-"""Of a force: solids at `fast` are within 3.1 % (docs/validation.md, Accuracy), and gel meshes differ where contact may come: √2 of that."""
+"""Of a force: solids at `fast` are within 3.1 % (docs/validation.md, Accuracy), and meshes differ where contact may come: √2 of that."""
 
 
 def pressed(body: dict[str, Any], **press: Any) -> Deformation:
