@@ -126,7 +126,7 @@ def _add(parser: Any, name: str, hint: Any, doc: str, default: Any, from_preset:
 def _default_words(default: Any, from_preset: bool) -> str:
     if from_preset:
         return "(default: the preset's)"
-    if default is None or default is dataclasses.MISSING:
+    if default is None or default is dataclasses.MISSING or default == ():
         return ""
     shown = " ".join(str(item) for item in default) if isinstance(default, tuple) else str(default)
     return f"(default: {shown.lower() if isinstance(default, bool) else shown})"
