@@ -86,7 +86,9 @@ class Deformation:
             f"{1e6 * self.contact_area[state]:.3g} mm²"
         )
         curve = f'<svg width="240" height="80"><polyline points="{line}" fill="none" stroke="currentColor" stroke-width="1.5"/></svg>'
-        return f"<div>{told}<br/>{curve}<br/>normal force, up to {normal.max():.3g} N, against {name} {along[0]:.3g} to {along[-1]:.3g}</div>"
+        return (
+            f"<div>{told}<br/>{curve}<br/>normal force, up to {normal.max():.3g} N, against {name} {along[0]:.3g} to {along[-1]:.3g}</div>"
+        )
 
     def warn(self, told: str) -> None:
         """Adds a sentence to the warnings of report.json."""

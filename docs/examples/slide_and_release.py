@@ -53,8 +53,7 @@ def draw(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 4.6), dpi=90, layout="constrained")
-    axes = figure.subplots(2, len(states))
-    shown = None
+    axes, dots = figure.subplots(2, len(states)), []
     for (name, state), top, below in zip(states.items(), *axes, strict=True):
         start, now = frames[0].marker_pixels, frames[state].marker_pixels
         top.imshow(frames[state].image)
@@ -63,12 +62,12 @@ def draw(
         top.set(title=f"{press.time[state]:g} s: {name}", xticks=[], yticks=[], xlim=(0, columns), ylim=(rows, 0))
         touching, way = lags[name]
         place = 1e3 * (press.gel.rest + press.gel.displacement[state])[touching]
-        shown = below.scatter(*place.T[:2], c=np.minimum(1e3 * way, 0.3), cmap="inferno", vmin=0.0, vmax=0.3, s=14)
+        dots.append(below.scatter(*place.T[:2], c=np.minimum(1e3 * way, 0.3), cmap="inferno", vmin=0.0, vmax=0.3, s=14))
         below.set(xlim=(-4, 6), ylim=(4, -4), aspect="equal", xlabel="x [mm]")
         tangential, normal = np.hypot(*press.force[state, :2]), -press.force[state, 2]
         below.set_title(f"{normal:.2f} N down, {tangential:.2f} N aside" if normal > 0 else "no contact", fontsize=9)
     axes[1, 0].set_ylabel("y [mm]")
-    figure.colorbar(shown, ax=axes[1], label="ball over gel [mm]")
+    figure.colorbar(dots[-1], ax=axes[1], label="ball over gel [mm]")
     figure.savefig(path, pil_kwargs={"quality": 88})
 
 

@@ -362,9 +362,10 @@ class _March:
     def _meet_force(self, here: _State, new: float, wanted: float) -> Generator[Request, NewtonReport, bool]:
         """Solves at a time [s] with the approach at which the normal force is `wanted`, CAREFUL_STEP away from `here` at most.
 
-        Where that is not found everything is put back, and the step is too long.
+        Above the gel, where nothing is remembered, it may go on from look to look. Where that approach is not found everything is put back,
+        and the step is too long.
         """
-        looked = [(here.approach, self.normal_force)]
+        begin, looked = here.approach, [(here.approach, self.normal_force)]
         ahead = (wanted - self.normal_force) / self._stiffness if self._stiffness > 0.0 else FIRST_LOOK * CAREFUL_STEP
         low, high = -np.inf, np.inf
         approach = here.approach + float(np.clip(ahead, -CAREFUL_STEP, CAREFUL_STEP))
@@ -380,10 +381,12 @@ class _March:
             (one, before), (other, after) = looked[-2:]
             slope = (after - before) / (other - one) if other != one else 0.0
             following = other + (wanted - after) / slope if slope > 0.0 else (other + FIRST_LOOK * CAREFUL_STEP * np.sign(wanted - after))
+            if self.normal_force <= 0.0 and after <= 0.0:
+                begin, following = approach, approach + CAREFUL_STEP
             if not low < following < high:
                 following = 0.5 * (low + high)
-            if not abs(following - here.approach) <= CAREFUL_STEP * (1 + 1e-9):
-                following = here.approach + CAREFUL_STEP * np.sign(wanted - after)
+            if not abs(following - begin) <= CAREFUL_STEP * (1 + 1e-9):
+                following = begin + CAREFUL_STEP * np.sign(wanted - after)
                 if following == approach:
                     break
             approach = float(following)

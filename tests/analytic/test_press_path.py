@@ -72,6 +72,12 @@ def test_a_force_is_held_while_the_object_slides_and_is_let_go() -> None:
     assert not press.force[-1].any()
 
 
+def test_a_force_is_found_again_from_above_the_gel() -> None:
+    press = pressed({"path": [{"force_n": 0.1}, {"depth_mm": -1.0}, {"force_n": 0.05}], "frames": 4})
+    assert not press.force[2].any() and press.approach[2] == -1e-3
+    assert -press.force[[1, 3], 2] == pytest.approx([0.1, 0.05], rel=FORCE_TOLERANCE)
+
+
 def test_a_held_approach_relaxes_and_a_held_force_creeps() -> None:
     viscous = {"prony_g": [0.3], "prony_tau_s": [0.3]}
     held = pressed({"path": [{"depth_mm": 0.4, "duration_s": 0.05}, {"duration_s": 2.0}], "frames": 5}, gel=viscous)
