@@ -235,10 +235,11 @@ class _March:
             self._keep(progress)
         elif (yield from self._go_on(before)) is None:
             return
+        gently = before is not None
         for leg in range(self.way.leg_after(self.time), len(self.way.time)):
-            gently = before is not None and self.here.time > self.way.time[leg - 1]
             if not (yield from self._follow(leg, progress, careful or before is not None, gently)):
                 return
+            gently = False
             self.way = self.way.reached(leg, self.approach * MM_PER_M, self.normal_force)
 
     def _lift(self, approach: float) -> None:
