@@ -10,7 +10,8 @@
 
 so drift = (W - (E - X) - D - C)/W is zero but for the size of the load steps and Newton's tolerance. W in the denominator is all work that
 was ever done, not less what a release gave back. R·du/dt over time is integrated by monotone cubics through the load steps of each leg of
-the motion (for a power law of 1.2 to 2.5 and five steps within 0.1 %). With "stick", D is what friction's own penalty gives way.
+the motion (for a power law of 1.2 to 2.5 and five steps within 0.1 %), by a power law through a lone one, and on either side of where a
+press goes on. With "stick", D is what friction's own penalty gives way.
 
 A point that touches for the first time counts its slip since the step began, as the contact law does: long load steps make D too large.
 """
@@ -40,7 +41,7 @@ class EnergyBalance:
         self._power: list[tuple[float, float]] = []
         """R·Δu/Δt of each step with R at its beginning and at its end."""
         self._legs: list[int] = []
-        """Number of steps before each leg."""
+        """Steps before which the object began to move in another way, or the press went on by another one."""
         self.jump = 0.0, 0.0
         """What went nowhere in a step, as a share of the most work of a step so far, where that is largest, and the approach [m] that the
         step ended at; but for the first two that did work, whose work is not known so well."""
@@ -131,6 +132,10 @@ class EnergyBalance:
         time, (begin, end) = np.array(self._time), np.array(self._power).T
         work = done = 0.0
         for first, last in pairwise([*sorted({first for first in self._legs if first < len(begin)}), len(begin)]):
+            if last == first + 1:
+                leg = _power_law_work(time[first], time[last], *self._power[first])
+                work, done = work + leg, done + max(leg, 0.0)
+                continue
             # between two steps the mean of what both say: the same where the platen moves straight
             between = 0.5 * (end[first : last - 1] + begin[first + 1 : last])
             power = PchipInterpolator(time[first : last + 1], [begin[first], *between, end[last - 1]])

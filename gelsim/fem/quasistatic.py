@@ -2,10 +2,9 @@
 
 Each step starts from the linear extrapolation of the last two states of its leg, which leaves Newton only the curvature of the path; then
 the contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and
-Newton has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after it
-was tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Later tries
-march in such steps from the start, and where that does not get there in steps as long as the spacing; so do paths. A leg that ends at a
-force has at each step's end the approach at which the normal force is its share of it, found by the secant rule.
+Newton has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after
+it was tried from the last state alone, its object moved along); after two easy steps it doubles again, to LONGEST_STEP at most. A leg that
+ends at a force has at each step's end the approach at which the normal force is its share of it, found by the secant rule.
 
 Of the short form, recorded states are equally spaced in approach. `force_n` ends it where the normal force reaches it, found by the secant
 rule; without `depth_mm` a search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share
@@ -56,9 +55,10 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
-CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
+FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
+LONGEST_STEP = 1e-3  # [m]
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of a hold: first step over the shortest relaxation time, and each over the last
-FIRST_LOOK = 0.2  # of CAREFUL_STEP: how far a leg to a force looks first, where nothing says yet how stiff the contact is
+FIRST_LOOK = 0.2  # of FIRST_STEP: how far a leg to a force looks first, where nothing says yet how stiff the contact is
 MOST_LOOKS = 12  # for the approach of a force, in one step
 
 
@@ -127,7 +127,7 @@ def march_press(
     way = motion(press)
     if way is not None:
         march = _March(problem, way.from_touch(problem.pivot[2]), record)
-        yield from march.run(progress, True, before)
+        yield from march.run(progress, before)
         found = march.approach, PressEnd.PATH, ""
     else:
         found = course.found if press.depth_mm is None else (press.depth_mm / MM_PER_M, PressEnd.DEPTH, "")
@@ -139,7 +139,7 @@ def march_press(
             if progress is not None and press.force_n is not None:
                 progress(round(float(np.clip(search.normal_force / press.force_n, 0.0, 1.0)) * (press.frames - 1)), press.frames)
 
-        yield from search.run(share, True, before)
+        yield from search.run(share, before)
         found = search.found()
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
@@ -153,14 +153,8 @@ def march_press(
             march = search
     depth, end, beyond = found
     if march is None:
-        way = straight(press, depth * MM_PER_M)
-        careful = depth / (press.frames - 1) > CAREFUL_STEP
-        for carefully in dict.fromkeys((careful, False) if problem.held else (False,)):
-            march = _March(problem, way, record, press.force_n)
-            yield from march.run(progress, carefully, before)
-            if march.status is SolveStatus.CONVERGED or before is not None:
-                break
-    assert march is not None
+        march = _March(problem, straight(press, depth * MM_PER_M), record, press.force_n)
+        yield from march.run(progress, before)
     message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
@@ -218,11 +212,10 @@ class _March:
         self._rate = self._stiffness = self._approach = 0.0
         self._iterations = self._factorisations = self._wasted = 0
 
-    def run(self, progress: Progress | None, careful: bool, before: _March | None = None) -> Marching:
+    def run(self, progress: Progress | None, before: _March | None = None) -> Marching:
         """Marches to the end of the way, the force, or a step that cannot be made any smaller; records at the times that the way says.
 
-        No step is longer than the spacing of recorded states, or where it is `careful` than CAREFUL_STEP. Begins at rest, or where `before`
-        stands.
+        Begins at rest, or where `before` stands.
         """
         problem = self.problem
         if before is None:
@@ -235,11 +228,9 @@ class _March:
             self._keep(progress)
         elif (yield from self._go_on(before)) is None:
             return
-        gently = before is not None
         for leg in range(self.way.leg_after(self.time), len(self.way.time)):
-            if not (yield from self._follow(leg, progress, careful or before is not None, gently)):
+            if not (yield from self._follow(leg, progress)):
                 return
-            gently = False
             self.way = self.way.reached(leg, self.approach * MM_PER_M, self.normal_force)
 
     def _lift(self, approach: float) -> None:
@@ -251,8 +242,8 @@ class _March:
             displacement[self.problem.object_nodes, 2] -= approach
             self.problem.solids.set_state((displacement, pressure))
 
-    def _follow(self, leg: int, progress: Progress | None, careful: bool, gently: bool) -> Generator[Request, NewtonReport, bool]:
-        """Marches along a leg from where it stands, `gently` with a short first step; whether it got to the leg's end."""
+    def _follow(self, leg: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
+        """Marches along a leg from where it stands; whether it got to the leg's end."""
         problem, way, here = self.problem, self.way, self.here
         begin, end = way.time[leg - 1], way.time[leg]
         self._leg, self._previous = leg, None
@@ -260,9 +251,8 @@ class _March:
         inside = way.recorded[(way.recorded > begin * (1 + 1e-12)) & (way.recorded <= end * (1 + 1e-12))]
         spacing = (inside[0] if len(inside) else end) - begin
         speed = self._speed(leg)
-        careful_step = CAREFUL_STEP / speed if speed else np.inf
-        longest = min(spacing, careful_step) if careful else spacing
-        step, easy, growth = longest / 4 if gently else longest, 0, 0.0
+        longest, first = (min(spacing, length / speed) if speed else spacing for length in (LONGEST_STEP, FIRST_STEP))
+        step, easy, growth = first, 0, 0.0
         if speed == 0.0 and problem.memory is not None:
             memory = problem.memory
             spacing = FIRST_HOLD_STEP * float(memory.times[memory.shares > 0.0].min())
@@ -276,7 +266,6 @@ class _March:
             if self.halved:
                 new = min(new, self._nearly_at_force())
             if not (yield from self._attempt_step(here, new)):
-                longest = min(longest, careful_step)
                 step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
                     return False
@@ -317,7 +306,7 @@ class _March:
         self.way, self._leg, self.stopped = before.way, before._leg, before.stopped
         self._smallest = here.min_jacobian
         problem.solids.set_state(here.fields)
-        problem.contact.inherit(before.problem.contact, problem.solids.rest, problem.solids.positions(), LOOKED_MM)
+        problem.contact.inherit(before.problem.contact, problem.solids.positions(), LOOKED_MM)
         start = self._state(here.time, here.approach)
         self._arrive(start, before.normal_force)
         if not (yield from self._attempt(start, here.time, here.approach)):
@@ -361,15 +350,15 @@ class _March:
         return (yield from self._attempt(here, new, approach / MM_PER_M))
 
     def _meet_force(self, here: _State, new: float, wanted: float) -> Generator[Request, NewtonReport, bool]:
-        """Solves at a time [s] with the approach at which the normal force is `wanted`, CAREFUL_STEP away from `here` at most.
+        """Solves at a time [s] with the approach at which the normal force is `wanted`, FIRST_STEP away from `here` at most.
 
         Above the gel, where nothing is remembered, it may go on from look to look. Where that approach is not found everything is put back,
         and the step is too long.
         """
         begin, looked = here.approach, [(here.approach, self.normal_force)]
-        ahead = (wanted - self.normal_force) / self._stiffness if self._stiffness > 0.0 else FIRST_LOOK * CAREFUL_STEP
+        ahead = (wanted - self.normal_force) / self._stiffness if self._stiffness > 0.0 else FIRST_LOOK * FIRST_STEP
         low, high = -np.inf, np.inf
-        approach = here.approach + float(np.clip(ahead, -CAREFUL_STEP, CAREFUL_STEP))
+        approach = here.approach + float(np.clip(ahead, -FIRST_STEP, FIRST_STEP))
         for _ in range(MOST_LOOKS):
             if not (yield from self._attempt(here, new, approach)):
                 return False
@@ -381,19 +370,19 @@ class _March:
             looked.append((approach, force))
             (one, before), (other, after) = looked[-2:]
             slope = (after - before) / (other - one) if other != one else 0.0
-            following = other + (wanted - after) / slope if slope > 0.0 else (other + FIRST_LOOK * CAREFUL_STEP * np.sign(wanted - after))
+            following = other + (wanted - after) / slope if slope > 0.0 else (other + FIRST_LOOK * FIRST_STEP * np.sign(wanted - after))
             if self.normal_force <= 0.0 and after <= 0.0:
-                begin, following = approach, approach + CAREFUL_STEP
+                begin, following = approach, approach + FIRST_STEP
             if not low < following < high:
                 following = 0.5 * (low + high)
-            if not abs(following - begin) <= CAREFUL_STEP * (1 + 1e-9):
-                following = begin + CAREFUL_STEP * np.sign(wanted - after)
+            if not abs(following - begin) <= FIRST_STEP * (1 + 1e-9):
+                following = begin + FIRST_STEP * np.sign(wanted - after)
                 if following == approach:
                     break
             approach = float(following)
         self.message = f"at approach {approach * MM_PER_M:.4g} mm, looking for {wanted:.3g} N"
         self.status = SolveStatus.MAX_ITERATIONS
-        yield from self._return_to(here, LOOKED_MM + 2 * CAREFUL_STEP * MM_PER_M)
+        yield from self._return_to(here, LOOKED_MM + 2 * FIRST_STEP * MM_PER_M)
         return False
 
     def _attempt(self, here: _State, new: float, approach: float, *, again: bool = False) -> Generator[Request, NewtonReport, bool]:
@@ -534,7 +523,7 @@ class _Search(_March):
         self.depth = furthest_approach(problem.scene)
         """The farthest that it looks [m]."""
         way = straight(press, self.depth * MM_PER_M, hold=False)
-        places = np.append(np.arange(0.0, self.depth, CAREFUL_STEP), self.depth)
+        places = np.append(np.arange(0.0, self.depth, LONGEST_STEP), self.depth)
         super().__init__(problem, replace(way, recorded=places * MM_PER_M / press.speed_mm_s), record, press.force_n)
         self.trail: list[_State] = []
 
