@@ -80,11 +80,11 @@ def dot_errors(photos_folder: Path, sensor: Path) -> tuple[np.ndarray, np.ndarra
     report = json.loads((sensor.parent / "report.json").read_text(encoding="utf-8"))
     scene = build_scene({"sensor": {"preset": str(sensor.resolve())}})
     scene = scene.replace(render=type(scene.render)("path", 16, photos.size))
-    dents = solve_dents(scene.gel, effective_radius(photos.ball_mm, curvature_of(scene.gel)), True)
+    dents = solve_dents(scene.gel, effective_radius(photos.balls_mm, curvature_of(scene.gel)), True)
     test = [index for index, row in enumerate(report["presses"]) if row["split"] == "test"]
     presses = [np.array([*report["presses"][index]["offset_mm"], report["presses"][index]["depth_mm"]]) for index in test]
     rest, drawn = drawing.draw(
-        scene, dents.at(scene.gel.thickness_mm, report["parameters"]["contact.slip"]["value"]), photos.ball_mm, presses
+        scene, dents.at(scene.gel.thickness_mm, report["parameters"]["contact.slip"]["value"]), photos.balls_mm[test], presses
     )
     before = dots_of(rest)
     apart = KDTree(before).query(before, k=2)[0][:, 1]

@@ -16,6 +16,7 @@ from gelsim.scene.definition import Markers
 Array = NDArray[np.float64]
 
 DARKER = 0.8
+NO_GRID = "markers = true, but no grid of dark spots is seen in no_contact: where their centres are is not known"
 FEWEST = 6
 """Blobs that make a grid."""
 

@@ -46,6 +46,8 @@ class Data:
     """The picture without contact, which a press changes."""
     correction: Array
     """Added to the model's levels, shape (N, 3): what the renderer adds to it."""
+    balls_mm: Array
+    """Radius of each press's ball, shape (P,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +70,13 @@ class Evaluation:
     """The model at one place, and what its derivatives need."""
 
     def __init__(
-        self, parameters: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float,
+        self, parameters: Parameters, presses: Array, data: Data, dents: Dents,
         still: tuple[model.Surface, list[Array]] | None = None,
     ) -> None:  # fmt: skip
         """`still`: What the pixels see without a press, and each light there, of an evaluation with the same parameters."""
-        self.parameters, self.presses, self.data, self.solved, self.ball_mm = parameters, presses, data, dents, ball_mm
+        self.parameters, self.presses, self.data, self.solved = parameters, presses, data, dents
         self.dents = dents.at(parameters.globals[3], parameters.globals[9])
-        self.shape = parameters.shape(ball_mm)
+        self.shape = parameters.shape(data.balls_mm)
         self.seen = model.surface(self.shape, self.dents, presses, data.pixels)
         self.lights = [parameters.light(index) for index in range(len(parameters.geometry) + 1)]
         self.shares = [model.visible(self.shape, self.dents, self.seen, light) for light in self.lights]
@@ -107,7 +109,7 @@ class Evaluation:
             step = STEPS.get(name, 1e-4)
             values = p.globals.copy()
             values[k] += step
-            other = Evaluation(replace(p, globals=values), self.presses, self.data, self.solved, self.ball_mm)
+            other = Evaluation(replace(p, globals=values), self.presses, self.data, self.solved)
             columns[:, :, k] = (other.level - self.level) / step
         scale, start = self.steep * self.paint, len(GLOBALS)
         for index in range(len(p.geometry)):
@@ -133,7 +135,7 @@ class Evaluation:
         for k, step in enumerate(PRESS_STEP):
             presses = self.presses.copy()
             presses[:, k] += step
-            other = Evaluation(self.parameters, presses, self.data, self.solved, self.ball_mm, self.still)
+            other = Evaluation(self.parameters, presses, self.data, self.solved, self.still)
             columns[:, :, k] = (other.level - self.level) / step
         return columns
 
@@ -143,7 +145,6 @@ def fit(
     presses: Array,
     data: Data,
     dents: Dents,
-    ball_mm: float,
     *,
     believed: Parameters | None = None,
     press_sd: Array | None = None,
@@ -169,7 +170,7 @@ def fit(
     free_always = np.concatenate([~frozen, np.ones(press_count, bool)])
 
     def evaluate(vector: Array) -> Evaluation:
-        return Evaluation(start.with_vector(vector[:sensor_count]), vector[sensor_count:].reshape(-1, 3), data, dents, ball_mm)
+        return Evaluation(start.with_vector(vector[:sensor_count]), vector[sensor_count:].reshape(-1, 3), data, dents)
 
     counted = data.weight > 0
     vector = np.clip(np.concatenate([start.vector, presses.ravel()]), floor, ceiling)
@@ -223,9 +224,9 @@ def fit(
     return Fitted(here.parameters, here.presses, float(cost), rms, sigma, covariance, done)
 
 
-def brightness(parameters: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float) -> Array:
+def brightness(parameters: Parameters, presses: Array, data: Data, dents: Dents) -> Array:
     """Mean size of the linear change that each light but the veil makes, all colours together, shape (L,)."""
-    here = Evaluation(parameters, presses, data, dents, ball_mm)
+    here = Evaluation(parameters, presses, data, dents)
     return np.array(
         [np.abs(values).mean() * colours.sum() for values, colours in zip(here.changes[:-1], parameters.colours[:-1], strict=True)]
     )

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius
+from gelsim.calibrate.dent import DentFamily, effective_radius
 from gelsim.optics.camera import solve_slope
 from gelsim.optics.rest import DARKEST
 
@@ -55,6 +55,8 @@ class Surface:
     """First touch of the pixel's press, shape (N, 2)."""
     depth: Array
     """Of the pixel's press, 0 in the rest frame."""
+    radius: Array
+    """R' of the pixel's press [mm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,8 @@ class Shape:
     """Of the picture: where its field is exact."""
     curvature: float
     """Of the dome [1/mm]."""
-    ball_mm: float
+    ball_mm: Array
+    """Of each press, shape (P,)."""
     tilt: tuple[float, float] = (0.0, 0.0)
     """Of the camera about x and y [rad]; its foot is where the picture's middle shows the gel's."""
 
@@ -138,13 +141,13 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     """
     start, slope = rays(shape, pixels.place)
     touched = pixels.press >= 0
-    centre, depth = np.zeros_like(start), np.zeros(len(start))
+    centre, depth, radius = np.zeros_like(start), np.zeros(len(start)), np.ones(len(start))
     if len(presses):
         which = pixels.press[touched]
         # First touch of a ball on a dome: nearer to the dome's top than the ball's apex.
-        centre[touched] = presses[which, :2] / (1 + shape.ball_mm * shape.curvature)
-        depth[touched] = np.clip(presses[which, 2], SHALLOWEST, dents.deepest_mm)
-    radius = effective_radius(shape.ball_mm, shape.curvature)
+        centre[touched] = presses[which, :2] / (1 + shape.ball_mm[which, None] * shape.curvature)
+        radius[touched] = effective_radius(shape.ball_mm[which], shape.curvature)
+        depth[touched] = dents.clipped(presses[which, 2], radius[touched])
     at = start.copy()
     z, gradient = np.zeros(len(start)), np.zeros_like(start)
     for _ in range(4):
@@ -155,7 +158,7 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
     view = np.column_stack([-slope, -np.ones(len(z))])
     view /= np.sqrt((view**2).sum(axis=1))[:, None]
-    return Surface(point, normal, view, centre, depth)
+    return Surface(point, normal, view, centre, depth, radius)
 
 
 def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -> Array:
@@ -166,8 +169,7 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
         return place
     away = seen.point[some, :2] - seen.centre[some]
     distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
-    before = distance.copy()
-    radius = effective_radius(shape.ball_mm, shape.curvature)
+    before, radius = distance.copy(), seen.radius[some]
     for _ in range(6):
         before = np.maximum(distance - dents.pulled(before, seen.depth[some], radius), 0.0)
     at = seen.centre[some] + away * (before / distance)[:, None]
@@ -186,11 +188,11 @@ def _dome(curvature: float, at: Array) -> tuple[Array, Array]:
     return -curvature * (at**2).sum(axis=-1) / (1 + root), -curvature * at / root[..., None]
 
 
-def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Array, touched: NDArray, radius: float):
+def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Array, touched: NDArray, radius: Array):
     z, gradient = _dome(shape.curvature, at)
     away = at[touched] - centre[touched]
     distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
-    dent, slope = dents.surface(distance, depth[touched], radius)
+    dent, slope = dents.surface(distance, depth[touched], radius[touched])
     z[touched] += dent
     gradient[touched] += away * (slope / distance)[:, None]
     return z, gradient
@@ -202,8 +204,7 @@ def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Arr
     some = np.flatnonzero(seen.depth > 0)
     if len(some) == 0 or light[2] > seen.point[:, 2].min() or np.hypot(light[0], light[1]) < -light[2]:
         return share
-    point, depth = seen.point[some], seen.depth[some]
-    radius = effective_radius(shape.ball_mm, shape.curvature)
+    point, depth, radius = seen.point[some], seen.depth[some], seen.radius[some]
     toward = light[:2] - point[:, :2]
     far = np.sqrt((toward**2).sum(axis=1))
     toward /= far[:, None]

@@ -129,10 +129,10 @@ class Parameters:
             return scale * sd, scale * low, scale * high
         return (sd, low + shift, high + shift) if name.startswith("log") else (sd, low, high)
 
-    def shape(self, ball_mm: float) -> Shape:
+    def shape(self, balls_mm: Array) -> Shape:
         layers = ((self.window[0], self.window[1]), (float(self.globals[3]), self.window[2]))
         return Shape(
-            self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], ball_mm, (self.globals[7], self.globals[8])
+            self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], balls_mm, (self.globals[7], self.globals[8])
         )
 
     def light(self, index: int) -> Array:
@@ -167,7 +167,7 @@ def light_names(parameters: Parameters) -> list[str]:
 def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) -> Scene:
     """The sensor as a scene: gel, camera, lights, coating; the rest is the start's."""
     px, distance, curvature, thickness, specular, roughness, gamma, about_x, about_y, _ = (float(value) for value in parameters.globals)
-    foot = model.foot(parameters.shape(1.0))
+    foot = model.foot(parameters.shape(np.zeros(0)))
     lights = []
     for index, (name, flux) in enumerate(zip(light_names(parameters), parameters.colours, strict=True)):
         light = parameters.light(index)

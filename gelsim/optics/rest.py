@@ -70,6 +70,11 @@ def save_levels(levels: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
     return rounded.astype(np.float64)
 
 
+def rest_name(sensor: Path) -> str:
+    """Of the photograph that belongs to a sensor file, beside it."""
+    return f"{sensor.stem}_rest.png"
+
+
 def resized(levels: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float64]:
     """Means over the new pixels, or between the old ones where the new are finer."""
     from PIL import Image

@@ -40,6 +40,11 @@ def preset_names() -> list[str]:
     return sorted(path.stem for path in (assets_folder() / "sensors").glob("*.toml"))
 
 
+def is_preset(sensor: str) -> bool:
+    """Whether that names a preset or a sensor file."""
+    return sensor in preset_names() or sensor.endswith(".toml")
+
+
 def load_scene(path: str | Path) -> Scene:
     """Read a scene file.
 

@@ -78,7 +78,6 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,contact_radius_px\na.png,0\n", "contact_radius_px = 0 px: allowed is more than 0, up to 32 px"),
         ("presses.csv", "file,contact_radius_px\na.png,33\n", "contact_radius_px = 33 px: allowed is more than 0, up to 32 px"),
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
-        ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
         ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
         ("presses.csv", "file\na.png\na.png\n", "'a.png' comes twice"),
         ("presses.csv", "file\nc.png\n", "c.png: is not a picture"),
@@ -153,8 +152,8 @@ def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
     base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
     frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
-    none: Any = SimpleNamespace(deepest_mm=1.0)
-    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, none, frozen, "cpu")
+    none: Any = SimpleNamespace(deepest=lambda radii: np.ones(len(radii)))
+    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, photos.counted, none, frozen, "cpu")
     fitted = run.Fitted(sensor, np.zeros((1, 3)), 0.0, 1.0, 1.0, np.eye(sensor.vector.size), 1)
     places = np.zeros((1, 3))
     report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])

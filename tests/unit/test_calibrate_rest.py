@@ -34,7 +34,7 @@ def photograph(press: np.ndarray | None = None, drift: float = 0.0) -> np.ndarra
 
 def test_dents_are_found_among_dots_that_move():
     photos = np.array([photograph(press) for press in PRESSES])
-    found, sure = start.find_contacts(photograph(), photos)
+    found, sure = start.find_contacts(photograph(), photos, np.ones(photos.shape[1:3], bool))
     assert sure.all()
     # To a third of the dots' distance: windows of 7 px stand for dots.
     assert np.hypot(*(found[:, :2] - PRESSES[:, :2]).T).max() < 4
