@@ -42,8 +42,6 @@ FIT_WIDTH = 160
 """Pictures are averaged down to at most this width for the fit; the predictions are scored at full size."""
 MOST_PIXELS = 9000
 """Compared in one fit, in all photographs together: more changed the squared error on test presses by less than 3 %, and take longer."""
-FELT = 2.2
-"""Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 LEAST_REACH = 0.12
 """Of the picture's width, likewise: dots move farther than light changes."""
 NEEDED = 1.05
@@ -92,7 +90,7 @@ class _Job:
 
     def reach(self, some: NDArray[np.int64]) -> Array:
         """How far from its middle a dent is compared [reduced pixels]."""
-        return np.maximum(FELT * self.contacts[some, 2], LEAST_REACH * self.size[0])
+        return np.maximum(beginning.FELT * self.contacts[some, 2], LEAST_REACH * self.size[0])
 
     def data(self, some: NDArray[np.int64], correction: Array | None, most: int = MOST_PIXELS) -> Data:
         reach = self.reach(some)
@@ -297,8 +295,8 @@ def _base(sensor: str | None) -> Scene:
 def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Progress, warnings: list[str]) -> tuple[_Job, float]:
     """Reduced pictures, contacts, rest and dents; and the scale of the start [mm a reduced pixel]."""
     factor = int(np.ceil(photos.size[0] / FIT_WIDTH))
-    reduced, no_contact = _reduce(photos.pictures, factor), _reduce(photos.no_contact[None], factor)[0]
-    counted = _reduce(np.repeat(photos.counted[None, ..., None], 3, axis=3).astype(float), factor)[0, ..., 0] > 0.999
+    reduced, no_contact = beginning.reduce(photos.pictures, factor), beginning.reduce(photos.no_contact[None], factor)[0]
+    counted = beginning.reduce(np.repeat(photos.counted[None, ..., None], 3, axis=3).astype(float), factor)[0, ..., 0] > 0.999
     if photos.gel is not None:
         base = base.replace(gel=photos.gel)
     contacts, sure = beginning.find_contacts(no_contact, reduced, counted)
@@ -312,10 +310,10 @@ def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Prog
             f"no contact can be seen in {', '.join(lost[:5])}: they differ from no_contact nowhere; leave them out of presses.csv"
         )
     train = ~photos.test
-    rest = beginning.rest_picture(photos.no_contact, photos.pictures[train], contacts[train] * factor, FELT)
+    rest = beginning.rest_picture(photos.no_contact, photos.pictures[train], contacts[train] * factor, beginning.FELT)
     # Eight bits here too: the renderer reads the picture from a file.
     small_path = scratch / "small.png"
-    small = save_levels(_reduce(rest[None], factor)[0], small_path)
+    small = save_levels(beginning.reduce(rest[None], factor)[0], small_path)
     clipped = float((reduced >= 254.5).mean())
     if clipped > 0.02:
         warnings.append(f"{100 * clipped:.0f} % of the values are at 255: what is clipped says nothing; photograph with less exposure")
@@ -357,13 +355,6 @@ def _within_gel(photos: Photos, gel: Gel, warnings: list[str]) -> NDArray[np.boo
     if (photos.counted & ~within).any():
         warnings.append(f"the gel is smaller than the picture: {100 * (1 - within.mean()):.0f} % of it is neither fitted nor scored")
     return photos.counted & within
-
-
-def _reduce(pictures: Array, factor: int) -> Array:
-    """Means over squares of `factor` pixels, from the top left corner; what is left over is cut off."""
-    count, height, width = pictures.shape[:3]
-    rows, columns = height // factor, width // factor
-    return pictures[:, : rows * factor, : columns * factor].reshape(count, rows, factor, columns, factor, 3).mean(axis=(2, 4))
 
 
 def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:

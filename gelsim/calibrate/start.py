@@ -33,8 +33,17 @@ DOT = 20
 """Windows across the picture that a dot takes less than half of."""
 OUTVOTED = 6
 """Photographs that outvote their dents."""
+FELT = 2.2
+"""Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 BLOCK = 12
 """Side of the pixel blocks that share errors [pixels of the fit]."""
+
+
+def reduce(pictures: Array, factor: int) -> Array:
+    """Means over squares of `factor` pixels, from the top left corner; what is left over is cut off."""
+    count, height, width = pictures.shape[:3]
+    rows, columns = height // factor, width // factor
+    return pictures[:, : rows * factor, : columns * factor].reshape(count, rows, factor, columns, factor, 3).mean(axis=(2, 4))
 
 
 def even_light(pictures: Array) -> Array:
