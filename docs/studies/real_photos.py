@@ -9,8 +9,8 @@ and `dots427` (a laboratory's own sensor, ball radius 2.38 mm; every third press
 scale, no place, no depth. The photographs carry no licence: they are read, and nothing made from them stays in this repository.
 
 Dots: dark blobs of the picture without contact, found again within half the distance of neighbours in a test press's photograph and
-in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, of the
-motion, and of the distance once each press's own mean is taken off, which is what the hand moved sideways.
+in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, and of the
+motion, once for the picture of the press's place and depth, once with the drag that was found beside them.
 """
 
 from __future__ import annotations
@@ -74,31 +74,28 @@ def dots_of(picture: np.ndarray) -> np.ndarray:
     return middles[(areas > 0.4 * np.median(areas)) & (areas < 2.5 * np.median(areas))]
 
 
-def dot_errors(photos_folder: Path, sensor: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Error, motion, and error less the press's mean [px] of each dot that moved, over all test presses."""
+def dot_errors(photos_folder: Path, sensor: Path, dragged: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Error and motion [px] of each dot that moved, over all test presses; `dragged`: with the drag that was found, too."""
     photos = read_photos(photos_folder)
     report = json.loads((sensor.parent / "report.json").read_text(encoding="utf-8"))
     scene = build_scene({"sensor": {"preset": str(sensor.resolve())}})
     scene = scene.replace(render=type(scene.render)("path", 16, photos.size))
     dents = solve_dents(scene.gel, effective_radius(photos.balls_mm, curvature_of(scene.gel)), True)
     test = [index for index, row in enumerate(report["presses"]) if row["split"] == "test"]
-    presses = [np.array([*report["presses"][index]["offset_mm"], report["presses"][index]["depth_mm"]]) for index in test]
-    rest, drawn = drawing.draw(
-        scene, dents.at(scene.gel.thickness_mm, report["parameters"]["contact.slip"]["value"]), photos.balls_mm[test], presses
-    )
+    rows = [report["presses"][index]["dragged"] if dragged else report["presses"][index] for index in test]
+    presses = [np.array([*row["offset_mm"], row["depth_mm"], *row["drag_mm"]]) for row in rows]
+    slip = report["parameters"]["contact.slip"]["value"]
+    rest, drawn = drawing.draw(scene, dents.at(scene.gel.thickness_mm, slip), photos.balls_mm[test], presses)
     before = dots_of(rest)
     apart = KDTree(before).query(before, k=2)[0][:, 1]
-    errors, moves, sideways = [], [], []
+    errors, moves = [], []
     for index, picture in zip(test, drawn, strict=True):
         found = [dots_of(each) for each in (photos.pictures[index], picture)]
         near = [KDTree(middles).query(before) for middles in found]
         kept = (near[0][0] < 0.5 * np.median(apart)) & (near[1][0] < 0.5 * np.median(apart)) & (near[0][0] >= MOVED_PX)
-        error = (found[0][near[0][1]] - found[1][near[1][1]])[kept]
-        errors.append(np.hypot(*error.T))
+        errors.append(np.hypot(*(found[0][near[0][1]] - found[1][near[1][1]])[kept].T))
         moves.append(near[0][0][kept])
-        if len(error) > 1:
-            sideways.append(np.hypot(*(error - error.mean(axis=0)).T))
-    return np.concatenate(errors), np.concatenate(moves), np.concatenate(sideways)
+    return np.concatenate(errors), np.concatenate(moves)
 
 
 def main() -> None:
@@ -110,11 +107,10 @@ def main() -> None:
     parser.add_argument("--dots", type=Path, metavar="SENSOR.toml")
     options = parser.parse_args()
     if options.dots:
-        errors, moves, sideways = dot_errors(options.photos, options.dots)
-        print(
-            f"{len(errors)} dots moved {MOVED_PX:g} px or more: median error {np.median(errors):.2f} px, motion {np.median(moves):.2f} px"
-        )
-        print(f"median error less each press's own mean {np.median(sideways):.2f} px")
+        for name, dragged in (("place and depth", False), ("place, depth and drag", True)):
+            errors, moves = dot_errors(options.photos, options.dots, dragged)
+            said = f"median error {np.median(errors):.2f} px of {np.median(moves):.2f} px of motion"
+            print(f"{name} found: {len(errors)} dots moved {MOVED_PX:g} px or more: {said}")
     else:
         write_folder(options.data, options.set, options.out)
 

@@ -169,7 +169,7 @@ def _search(scene: Scene, photos: Photos, known: Array, device: str, show: Progr
         raise SceneError(f"{photos.files[index]}: no contact can be seen in it: give col_px, row_px and depth_mm in presses.csv")
     per_px = scene.camera.field_mm[0] / wide * factor
     small = scene.replace(render=replace(scene.render, resolution=size, spp=FOUND_SPP, mode="direct"))
-    begun = start.rough_presses(contacts, per_px, size, photos.balls_mm, 0.0, np.full(len(seen), 0.75 * scene.gel.thickness_mm))
+    begun = start.rough_presses(contacts, per_px, size, photos.balls_mm, 0.0, np.full(len(seen), 0.75 * scene.gel.thickness_mm))[:, :3]
     begun[:, :2] = _on_gel(small, contacts[:, :2])
     places = np.where(np.isnan(known), begun, known)
     dents, free = _dents(scene, photos), np.isnan(known)
@@ -212,7 +212,7 @@ def _search(scene: Scene, photos: Photos, known: Array, device: str, show: Progr
 def _ball(scene: Scene, dents: DentFamily, ball_mm: float, press: Array) -> Membrane:
     """The surface under a ball that touched first at press[:2] [mm], press[2] [mm] deep."""
     apex = press[:2] * (1 + ball_mm * curvature_of(scene.gel))
-    return drawing.dented(scene, dents, ball_mm, np.array([*apex, press[2]]))
+    return drawing.dented(scene, dents, ball_mm, np.array([*apex, press[2], 0.0, 0.0]))
 
 
 def _membranes(scene: Scene, photos: Photos, presses: Sequence[Mapping[str, Any]], device: str, show: Progress) -> list[Membrane]:

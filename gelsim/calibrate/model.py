@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.calibrate.dent import DentFamily, effective_radius
+from gelsim.calibrate.drag import carried
 from gelsim.optics.camera import solve_slope
 from gelsim.optics.rest import DARKEST
 
@@ -57,6 +58,8 @@ class Surface:
     """Of the pixel's press, 0 in the rest frame."""
     radius: Array
     """R' of the pixel's press [mm]."""
+    drag: Array
+    """Of the pixel's press [mm], shape (N, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,17 +140,18 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     """Where each pixel's ray meets the dented dome.
 
     Args:
-        presses: Apex of the ball x, y [mm] and depth [mm] of each press, shape (P, 3).
+        presses: Of `parameters.PRESS`, shape (P, 5).
     """
     start, slope = rays(shape, pixels.place)
     touched = pixels.press >= 0
-    centre, depth, radius = np.zeros_like(start), np.zeros(len(start)), np.ones(len(start))
+    centre, depth, radius, drag = np.zeros_like(start), np.zeros(len(start)), np.ones(len(start)), np.zeros_like(start)
     if len(presses):
         which = pixels.press[touched]
         # First touch of a ball on a dome: nearer to the dome's top than the ball's apex.
         centre[touched] = presses[which, :2] / (1 + shape.ball_mm[which, None] * shape.curvature)
         radius[touched] = effective_radius(shape.ball_mm[which], shape.curvature)
         depth[touched] = dents.clipped(presses[which, 2], radius[touched])
+        drag[touched] = presses[which, 3:]
     at = start.copy()
     z, gradient = np.zeros(len(start)), np.zeros_like(start)
     for _ in range(4):
@@ -158,7 +162,7 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
     view = np.column_stack([-slope, -np.ones(len(z))])
     view /= np.sqrt((view**2).sum(axis=1))[:, None]
-    return Surface(point, normal, view, centre, depth, radius)
+    return Surface(point, normal, view, centre, depth, radius, drag)
 
 
 def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -> Array:
@@ -172,7 +176,9 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
     before, radius = distance.copy(), seen.radius[some]
     for _ in range(6):
         before = np.maximum(distance - dents.pulled(before, seen.depth[some], radius), 0.0)
-    at = seen.centre[some] + away * (before / distance)[:, None]
+    away = away * (before / distance)[:, None]
+    contact = np.sqrt(radius * seen.depth[some])
+    at = seen.centre[some] + away - carried(away, contact, shape.layers[-1][0], seen.drag[some])
     height = _dome(shape.curvature, at)[0]
     here = place[some]
     for _ in range(3):

@@ -33,6 +33,8 @@ GLOBALS = (
     "contact.slip",
 )
 GEOMETRY = ("away_mm", "azimuth_rad", "z_mm", "turn_rad", "elevation_rad", "log_length", "log_height")
+PRESS = ("x_mm", "y_mm", "depth_mm", "drag_x_mm", "drag_y_mm")
+"""Of a press: where the ball's apex stands, how deep it is, and how far it has been dragged since it touched."""
 VEIL_Z, VEIL_SIZE = -500.0, 150.0
 """The veil, light that comes from the sensor's inside in general, is a far square on the axis [mm]: no other light hides it."""
 

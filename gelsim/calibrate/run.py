@@ -25,7 +25,7 @@ from gelsim.calibrate import start as beginning
 from gelsim.calibrate.dent import SHALLOWEST, Dents, effective_radius, solve_dents
 from gelsim.calibrate.fit import Data, Fitted, brightness, fit
 from gelsim.calibrate.model import Rest
-from gelsim.calibrate.parameters import GLOBALS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
+from gelsim.calibrate.parameters import GLOBALS, PRESS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.preset import fitted_head, write_preset
 from gelsim.data.metrics import picture_errors
@@ -55,6 +55,8 @@ VALIDATION = 4
 """One in so many presses is left out of the fit to judge its states; with fewer than twice as many, those of the fit judge."""
 UNDETERMINED = 0.7
 """A parameter whose uncertainty is more than this share of its prior's was not determined by the photographs."""
+DRAG_SD, UNDRAGGED = 0.3, 1e-6
+"""Of the priors of how far a ball was dragged since it touched, by hand and not at all [mm]."""
 CROP = 0.625
 """Side of the square about a dent that is scored too, over the picture's width: 400 of 640."""
 
@@ -138,15 +140,22 @@ def calibrate(
         if len(judged):
             states.append(_of_all(job, state, presses, sd, judged, show))
             state = min(state, states[-1], key=lambda each: each.error)
-        places, press_sd = presses.copy(), np.full((len(presses), 3), np.nan)
+        places, press_sd = presses.copy(), np.full(presses.shape, np.nan)
         count = state.fitted.parameters.vector.size
         spread = np.sqrt(np.maximum(np.diag(state.fitted.covariance), 0))
-        places[state.which], press_sd[state.which] = state.fitted.presses, spread[count:].reshape(-1, 3)
+        places[state.which], press_sd[state.which] = state.fitted.presses, spread[count:].reshape(-1, len(PRESS))
         others = np.setdiff1d(np.arange(len(presses)), state.which)
+        dragged = np.zeros((0, len(PRESS)))
         if len(others):
             found = _locate(job, state, places[others], sd[others], others, show)
             places[others] = found.presses
-            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, 3)
+            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, len(PRESS))
+        test = np.flatnonzero(photos.test)
+        if len(test) and photos.markers:
+            # Of a test press three numbers are found, place and depth; drag is found beside them, and said apart.
+            dragged, straight = places[test].copy(), sd[test].copy()
+            places[test, 3:], straight[:, 3:] = 0.0, UNDRAGGED
+            places[test] = _locate(job, state, places[test], straight, test, show).presses
         fitted = state.fitted
 
         scene = _full_scene(job, fitted.parameters, full_rest)
@@ -157,11 +166,13 @@ def calibrate(
             else:
                 scene = scene.replace(markers=grid)
         shown_rest, shown = _draw(job, scene, fitted.parameters, places, np.arange(len(places)), SCORE_SPP, show, "pictures")
-        test = np.flatnonzero(photos.test)
         rows = _rows(test if len(test) else np.flatnonzero(~photos.test))
         before = _full_scene(job, first, full_rest)
         before_rest, before_shown = _draw(job, before, first, presses[rows], rows, CORRECTION_SPP, show, "before")
         report = _report(job, scene, fitted, state.believed, places, press_sd, shown_rest, shown, warnings)
+        if len(dragged):
+            _, drawn = _draw(job, scene, fitted.parameters, dragged, test, SCORE_SPP, show, "dragged")
+            report["scores"]["test_dragged"] = _dragged(report, photos, test, dragged, drawn)
         report["states"] = {
             "presses_left_out": [photos.files[index] for index in judged],
             "judged_by": "presses of the fit that were left out" if len(judged) else "the presses of the fit: too few to leave some out",
@@ -377,8 +388,9 @@ def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:
 
 
 def _press_sd(job: _Job, presses: Array) -> Array:
-    """Priors of the presses: wide, but for a depth that was given."""
-    sd = np.tile([2.0, 2.0, 1.0], (len(presses), 1))
+    """Priors of the presses: wide, but for a depth that was given, and for drag, which only markers show."""
+    drag = DRAG_SD if job.photos.markers else UNDRAGGED
+    sd = np.tile([2.0, 2.0, 1.0, drag, drag], (len(presses), 1))
     sd[np.isfinite(job.photos.hints[:, 2]), 2] = 1e-3
     return sd
 
@@ -512,7 +524,8 @@ def _report(
         (whole, crop), unmoved = pairs
         rows.append(
             {
-                "file": file, "split": split, "offset_mm": places[index, :2], "depth_mm": places[index, 2], "sd_mm": press_sd[index],
+                "file": file, "split": split, "offset_mm": places[index, :2], "depth_mm": places[index, 2],
+                "sd_mm": press_sd[index, :3], "drag_mm": places[index, 3:],
                 "col_px": pixels[index, 0], "row_px": pixels[index, 1], "whole": whole, "crop": crop,
             }
         )  # fmt: skip
@@ -557,6 +570,18 @@ def _report(
         "versions": {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "mitsuba")},
         "warnings": warnings,
     }
+
+
+def _dragged(report: dict[str, Any], photos: Photos, test: NDArray[np.int64], presses: Array, drawn: Array) -> dict[str, Any]:
+    """Scores of test presses of which drag is found too; puts what was found into their rows."""
+    pairs = []
+    for index, press, picture in zip(test, presses, drawn, strict=True):
+        row = report["presses"][index]
+        whole = picture_errors(picture, photos.pictures[index], photos.counted)
+        near = _crop(photos.size, [row["col_px"], row["row_px"]])
+        pairs.append((whole, picture_errors(picture[near], photos.pictures[index][near], photos.counted[near])))
+        row["dragged"] = {"offset_mm": press[:2], "depth_mm": press[2], "drag_mm": press[3:], "whole": whole}
+    return _mean_scores(pairs)
 
 
 def _advice(photos: Photos) -> str:

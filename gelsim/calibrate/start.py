@@ -204,7 +204,8 @@ def choose_lights(seed: Parameters, presses: Array, data: Data, dents: Dents) ->
 def rough_presses(
     contacts: Array, mm_per_px: float, size: tuple[float, float], balls_mm: Array, curvature: float, deepest_mm: Array
 ) -> Array:
-    """Ball's apex x, y and depth [mm] from the dents' middles and radii."""
+    """Presses as of PRESS from the dents' middles and radii, undragged."""
     at = (contacts[:, :2] - np.array(size) / 2) * mm_per_px * (1 + balls_mm * curvature)[:, None]
     contact = contacts[:, 2] * mm_per_px / DRAPE
-    return np.column_stack([at, np.clip(contact**2 / balls_mm, 2 * SHALLOWEST, 0.8 * deepest_mm)])
+    depth = np.clip(contact**2 / balls_mm, 2 * SHALLOWEST, 0.8 * deepest_mm)
+    return np.column_stack([at, depth, np.zeros((len(at), 2))])
