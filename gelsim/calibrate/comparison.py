@@ -24,7 +24,7 @@ from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius, solv
 from gelsim.calibrate.parameters import curvature_of
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.reading import SUFFIXES, Reader
-from gelsim.data.metrics import picture_errors
+from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.optics.camera import gel_ray, make_lens
@@ -104,9 +104,7 @@ def summary(report: Mapping[str, Any]) -> str:
     """A report in a few lines for people."""
     lines = [f"{report['out']}: {len(report['presses'])} photographs"]
     for name, score in report["scores"].items():
-        said = {"drawn": "drawn", "no_contact": "no contact instead", "rest": "without contact"}[name]
-        psnr = "" if score["psnr_db"] is None else f"  PSNR {score['psnr_db']:.1f} dB"  # none where pictures are equal
-        lines.append(f"{said:<20} L1 {score['l1']:.2f}  MSE {score['mse']:.1f}  SSIM {score['ssim']:.3f}{psnr}")
+        lines.append(said({"drawn": "drawn", "no_contact": "no contact instead", "rest": "without contact"}[name], score))
     return "\n".join(lines)
 
 

@@ -3,10 +3,10 @@
     minimise  Σ_i ϱ((I_i − M_i(θ, p)) / σ) + Σ_k ((θ_k − θ⁰_k) / s_k)²
 
 over the sensor θ and place, depth and drag p of each press; ϱ is Huber's. The model M is the rest picture, changed (`calibrate.model`):
-what does not change says nothing of the lights. Derivatives by geometry are one-sided differences, all presses at once (each pixel depends on
-its own press only), those by colour exact. Uncertainties are of the sandwich kind: H⁻¹ G H⁻¹
-with G the sum over blocks of pixels of g gᵀ, so that errors that neighbouring pixels share (compression, what the model lacks) count as
-what they are. Left out: errors that all photographs share.
+what does not change says nothing of the lights. Derivatives by geometry are one-sided differences, all presses at once (each pixel
+depends on its own press only), those by colour exact. Uncertainties are of the sandwich kind: H⁻¹ G H⁻¹ with G the sum over blocks of
+pixels of g gᵀ, so that errors that neighbouring pixels share (compression, what the model lacks) count as what they are. Left out: errors
+that all photographs share.
 """
 
 from __future__ import annotations

@@ -272,6 +272,4 @@ def _body(given: dict[str, str], settings: dict[str, Any], folder: Path, where: 
         scene = build_scene({"object": {"rigid": True} | fields, "press": {"depth_mm": 0.1}})
     except GelsimError as error:
         raise SceneError(f"{where}: {error}") from None
-    if ball and not BALL_MM[0] <= scene.object.radius_mm <= BALL_MM[1]:
-        raise SceneError(f"{where}: radius_mm = {scene.object.radius_mm:g} mm: allowed is {BALL_MM[0]:g} … {BALL_MM[1]:g} mm")
     return scene.object

@@ -54,13 +54,13 @@ class Reader:
             SceneError: It cannot be read, is too small or too large, or holds no number; the crop or a corner lies outside it.
         """
         values, linear = self._values(name)
-        height, width = values.shape[:2]
-        if not (SIDE[0] <= width <= SIDE[1] and SIDE[0] <= height <= SIDE[1]):
-            raise SceneError(f"{self.folder / name}: is {width} x {height} px; allowed are {SIDE[0]} … {SIDE[1]} px a side")
+        self._check_size(values, name)
         if not np.isfinite(values).all():
             raise SceneError(f"{self.folder / name}: holds values that are not finite")
         values = values[..., ::-1] if self.order == "bgr" else values
-        return self._cut(255 * np.asarray(srgb_tone(values) if linear else values, np.float64), name)
+        levels = self._cut(255 * np.asarray(srgb_tone(values) if linear else values, np.float64), name)
+        self._check_size(levels, name)
+        return levels
 
     def place(self, point: Array) -> Array:
         """(column, row) of the photograph [px] as (column, row) of the picture that is worked with, shape (2,)."""
@@ -140,6 +140,11 @@ class Reader:
             except ValueError as error:
                 raise SceneError(f"{file}: {error}") from None
         return self._open[file][_number(inner, len(self._open[file]), file)] / 255
+
+    def _check_size(self, values: NDArray, name: str) -> None:
+        height, width = values.shape[:2]
+        if not (SIDE[0] <= width <= SIDE[1] and SIDE[0] <= height <= SIDE[1]):
+            raise SceneError(f"{self.folder / name}: is {width} x {height} px; allowed are {SIDE[0]} … {SIDE[1]} px a side")
 
     # ---- to the picture that is worked with ----
 

@@ -28,7 +28,7 @@ from gelsim.calibrate.model import Rest
 from gelsim.calibrate.parameters import GLOBALS, PRESS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.preset import fitted_head, write_preset
-from gelsim.data.metrics import picture_errors
+from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.optics.rest import even_part, rest_name, save_levels
 from gelsim.pipeline import outputs
@@ -198,8 +198,8 @@ def _balls_of(folder: Path) -> tuple[Photos, list[str]]:
     balls = photos.only(~other)
     if balls.test.all() and len(photos.files):
         raise SceneError(f"--photos {folder}: no press to fit to; at least one picture of a ball that is not split = test")
-    said = f"{other.sum()} presses of other objects are neither fitted nor scored here: gelsim compare draws them"
-    return balls, [said] if other.any() else []
+    warned = f"{other.sum()} presses of other objects are neither fitted nor scored here: gelsim compare draws them"
+    return balls, [warned] if other.any() else []
 
 
 @dataclass
@@ -278,11 +278,7 @@ def summary(report: Mapping[str, Any]) -> str:
     """A report in a few lines for people."""
     lines = [f"{report['out']}: {len(report['presses'])} presses, {report.get('seconds', 0):.0f} s"]
     for split, score in report["scores"].items():
-        whole = score["whole"]
-        lines.append(
-            f"{split:<20} L1 {whole['l1']:.2f}  MSE {whole['mse']:.1f}  SSIM {whole['ssim']:.3f}  PSNR {whole['psnr_db']:.1f} dB"
-            f"  ({score['count']} pictures)"
-        )
+        lines.append(f"{said(split, score['whole'])}  ({score['count']} pictures)")
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
 
 

@@ -8,6 +8,8 @@ over the colours. Left out: other versions of SSIM (uniform windows, grey pictur
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,13 @@ def picture_errors(picture: NDArray, wanted: NDArray, counted: NDArray[np.bool_]
     mse = float(((a - b)[some] ** 2).mean())
     psnr = float("inf") if mse == 0 else 10 * float(np.log10(255**2 / mse))
     return {"l1": float(np.abs(a - b)[some].mean()), "mse": mse, "ssim": structural_similarity(a, b, counted), "psnr_db": psnr}
+
+
+def said(name: str, errors: Mapping[str, float | None]) -> str:
+    """Errors in a line for people; a report has no PSNR where pictures are equal."""
+    psnr = errors["psnr_db"]
+    line = f"{name:<20} L1 {errors['l1']:.2f}  MSE {errors['mse']:.1f}  SSIM {errors['ssim']:.3f}"
+    return line if psnr is None else f"{line}  PSNR {psnr:.1f} dB"
 
 
 def structural_similarity(a: NDArray[np.float64], b: NDArray[np.float64], counted: NDArray[np.bool_] | None = None) -> float:
