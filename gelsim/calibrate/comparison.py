@@ -28,7 +28,7 @@ from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.optics.camera import gel_ray, make_lens
-from gelsim.optics.rest import rest_levels
+from gelsim.optics.rest import rest_pictures
 from gelsim.pipeline import outputs, stages
 from gelsim.results import Membrane
 from gelsim.scene.definition import Press, Scene
@@ -119,8 +119,8 @@ def _scene(sensor: str, photos: Photos, friction: float | str, mode: str) -> Sce
     )
     if photos.gel is not None:
         scene = scene.replace(gel=photos.gel)
-    if scene.camera.rest is not None:
-        rest_levels(scene)  # of another aspect than the photographs: refused before anything is solved
+    if scene.camera.has_rest:
+        rest_pictures(scene)  # of another aspect than the photographs: refused before anything is solved
     return scene
 
 

@@ -71,6 +71,7 @@ AFTER_LIGHT = (
     "tone",
     "gamma",
     "rest",
+    "rest_smooth",
 )
 """Of the camera's fields, those that `optics.isp` answers for: they change the picture and not the light."""
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from gelsim.errors import MaterialError, SceneError, within
 from gelsim.scene import materials
 from gelsim.scene.fields import convert, field_types, share, which
-from gelsim.scene.limits import LIMITS, SHADING_DEGREES, check_limits
+from gelsim.scene.limits import LIMITS, REST_TERMS, SHADING_DEGREES, check_limits
 from gelsim.scene.shape_table import SHAPES
 
 Vec2 = tuple[float, float]
@@ -257,6 +257,14 @@ class Camera:
     rest: str | None = None
     """A photograph without contact (PNG, JPG): frames are this picture, changed by what a press changes (docs/optics.md). It shows markers
     and grain of its own; [markers] then only says where their centres are."""
+    rest_smooth: tuple[float, ...] = ()
+    """In place of a photograph a smooth rest, with [markers] painted on it: exponents of red, green and blue for each of 1, u, v, u^2, uv,
+    v^2, ... of a level over 255 (docs/optics.md)."""
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether the picture without contact is given, and not the lights' affair."""
+        return self.rest is not None or bool(self.rest_smooth)
 
 
 @dataclass(frozen=True)
@@ -470,6 +478,12 @@ def _check_optics(scene: Scene) -> None:
     if shading and (shading % 3 or shading // 3 not in SHADING_DEGREES):
         allowed = ", ".join(str(3 * count) for count in SHADING_DEGREES)
         raise SceneError(f"camera.shading has {shading} numbers: red, green and blue of every term of a degree are {allowed}, or none")
+    smooth = len(scene.camera.rest_smooth)
+    if smooth not in (0, *REST_TERMS):
+        allowed = ", ".join(str(count) for count in REST_TERMS)
+        raise SceneError(f"camera.rest_smooth has {smooth} numbers: red, green and blue of every term of a degree are {allowed}, or none")
+    if smooth and scene.camera.rest is not None:
+        raise SceneError(f"camera.rest = {scene.camera.rest!r} and camera.rest_smooth exclude each other: give one of them")
     for index, light in enumerate(scene.lights.lights):
         with within(which(scene.lights.lights, index)):
             _check_light(light)

@@ -27,6 +27,8 @@ CHOICES: dict[str, Collection[str]] = {
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
 """Of files that object.mesh may name."""
+REST_TERMS = {3 * (degree + 1) * (degree + 2) // 2: degree for degree in range(4)}
+"""Numbers of camera.rest_smooth, and the degree that they are of."""
 SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
 """Terms of a polynomial over the picture without its constant -> its degree."""
 
@@ -96,6 +98,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "camera.full_well": (0, 1e7),
     "camera.read_noise": (0, 1),
     "camera.shading": (-10, 10),
+    "camera.rest_smooth": (-10, 10),
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
     "lights.gel_ior": (1, 3),
