@@ -27,7 +27,7 @@ from gelsim.calibrate.reading import SUFFIXES, Reader
 from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.membrane.surface import membrane_states, rest_membrane
-from gelsim.optics.camera import gel_ray, make_lens
+from gelsim.optics.camera import seen_places
 from gelsim.optics.rest import rest_pictures
 from gelsim.pipeline import outputs, stages
 from gelsim.results import Membrane
@@ -128,7 +128,7 @@ def _presses(scene: Scene, photos: Photos, device: str, show: Progress) -> list[
     """Of each press x_mm and y_mm of its first touch, depth_mm, and whether they were found."""
     found = np.full((len(photos.files), 3), np.nan)
     given = np.isfinite(photos.hints[:, :2]).all(axis=1)
-    found[given, :2] = _on_gel(scene, photos.hints[given, :2])
+    found[given, :2] = seen_places(scene, photos.hints[given, :2]) / MM
     found[:, 2] = photos.hints[:, 2]
     missing = np.isnan(found).any(axis=1)
     for index in np.flatnonzero(missing & np.isnan(photos.balls_mm)):
@@ -140,12 +140,6 @@ def _presses(scene: Scene, photos: Photos, device: str, show: Progress) -> list[
         found[missing] = _search(scene, photos.only(missing), found[missing], device, show)
     names = ("x_mm", "y_mm", "depth_mm")
     return [dict(zip(names, map(float, row), strict=True)) | {"found": bool(lost)} for row, lost in zip(found, missing, strict=True)]
-
-
-def _on_gel(scene: Scene, pixels: Array) -> Array:
-    """Where the rays of pixels (K, 2) meet the plane of the gel's top [mm], shape (K, 2)."""
-    origin, direction, _ = gel_ray(make_lens(scene, 1.0), pixels[:, 0], pixels[:, 1])
-    return np.stack([o - origin[2] / direction[2] * d for o, d in zip(origin[:2], direction[:2], strict=True)], axis=-1)
 
 
 def _dents(scene: Scene, photos: Photos) -> DentFamily:
@@ -168,7 +162,7 @@ def _search(scene: Scene, photos: Photos, known: Array, device: str, show: Progr
     per_px = scene.camera.field_mm[0] / wide * factor
     small = scene.replace(render=replace(scene.render, resolution=size, spp=FOUND_SPP, mode="direct"))
     begun = start.rough_presses(contacts, per_px, size, photos.balls_mm, 0.0, np.full(len(seen), 0.75 * scene.gel.thickness_mm))[:, :3]
-    begun[:, :2] = _on_gel(small, contacts[:, :2])
+    begun[:, :2] = seen_places(small, contacts[:, :2]) / MM
     places = np.where(np.isnan(known), begun, known)
     dents, free = _dents(scene, photos), np.isnan(known)
     rows, columns = np.mgrid[: size[1], : size[0]] + 0.5

@@ -40,7 +40,7 @@ def at_rest(photos: Photos, folder: outputs.ResultFolder, out: Path, sensor: str
     scene = scene.replace(markers=Markers(layout="none"))
     scene = _as_bright(scene, photos, device)
     if photos.markers:
-        grid = dots.marker_grid(photos.no_contact, scene.camera.field_mm[0] / photos.size[0])
+        grid = dots.grid_of(scene, photos.no_contact)
         if grid is None:
             warnings.append(dots.NO_GRID)
         else:

@@ -160,7 +160,7 @@ def calibrate(
 
         scene = _full_scene(job, fitted.parameters, full_rest)
         if photos.markers:
-            grid = dots.marker_grid(photos.no_contact, fitted.parameters.globals[0] / job.factor)
+            grid = dots.grid_of(scene, photos.no_contact)
             if grid is None:
                 warnings.append(dots.NO_GRID)
             else:

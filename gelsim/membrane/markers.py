@@ -1,9 +1,9 @@
 """Where the black markers sit on the coating at rest, and their outlines. Plain NumPy, SI.
 
-A square grid through the gel's centre, turned by `tilt_deg`; place, size and outline of each marker are then disturbed, because they are
-made by hand. The outline in polar form about the marker's centre: r(φ) = r₀ (1 + Σ_{k=2..4} a_k cos(kφ − φ_k)), a_k normal with a total
-variance of `outline_jitter`². Both the membrane (markers move with the material) and the coating (markers are painted on it) need this, and
-they do not know each other, so it lies below both. Left out: doubled and missing markers.
+A square grid, moved from the gel's centre by `offset_mm` and turned by `tilt_deg`; place, size and outline of each marker are then
+disturbed, because they are made by hand. The outline in polar form about the marker's centre: r(φ) = r₀ (1 + Σ_{k=2..4} a_k cos(kφ − φ_k)),
+a_k normal with a total variance of `outline_jitter`². Both the membrane (markers move with the material) and the coating (markers are
+painted on it) need this, and they do not know each other, so it lies below both. Left out: doubled and missing markers.
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ def marker_layout(scene: Scene) -> MarkerLayout:
             "a radius must be positive and less than half the pitch"
         )
     half_size = np.array(scene.gel.size_mm) / 2
-    reach = int(np.ceil(np.hypot(*half_size) / markers.pitch_mm))
+    reach = int(np.ceil((np.hypot(*half_size) + np.hypot(*markers.offset_mm)) / markers.pitch_mm))
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     turn = np.radians(markers.tilt_deg)
     x, y = column * markers.pitch_mm, row * markers.pitch_mm
     centres = np.stack([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y], axis=-1).reshape(-1, 2)
+    centres = centres + np.array(markers.offset_mm)
 
     # Drawn for the whole grid before cropping, so that a marker keeps its shape when the gel's size changes a little.
     rng = np.random.default_rng(markers.seed)

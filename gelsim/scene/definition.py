@@ -330,6 +330,8 @@ class Markers:
     radius_mm: float = 0.2
     tilt_deg: float = 0.0
     """Of the rows, about z."""
+    offset_mm: Vec2 = (0.0, 0.0)
+    """Of the grid from the gel's centre."""
     jitter_mm: float = 0.0
     """Standard deviation of a marker's place in x and in y."""
     size_jitter: float = 0.0

@@ -13,7 +13,7 @@ from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
 
 
 def test_a_thick_layer_is_the_half_space():
-    """Johnson 1985, 3.7: around a contact that is shifted rigidly an incompressible half-space follows by 2/π [asin(a/ρ) ± a/3ρ √(1 − a²/ρ²)]."""
+    """Johnson 1985, 3.7: around a contact shifted rigidly an incompressible half-space follows by 2/π [asin(a/ρ) ± a/3ρ √(1 − a²/ρ²)]."""
     rho = np.array([1.2, 1.5, 2.0])
     drag = np.tile([1.0, 0.0], (3, 1))
     along = carried(np.column_stack([rho, 0 * rho]), np.ones(3), 1e3, drag)
