@@ -6,7 +6,7 @@
 
 Sets: `mini_markers` (a GelSight Mini, ball of 5.0 mm diameter, its gel by the data sheet; the half that its owner named is for testing)
 and `dots427` (a laboratory's own sensor, ball radius 2.38 mm; every third press by number is for testing). Nothing else is handed on: no
-scale, no place, no depth. The photographs carry no licence: they are read, and nothing made from them stays in this repository.
+scale (but with `--scale`), no place, no depth. The photographs carry no licence: they are read, and nothing made from them stays in this repository.
 
 Dots: dark blobs of the picture without contact, found again within half the distance of neighbours in a test press's photograph and
 in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, and of the
@@ -46,7 +46,7 @@ thickness_mm = 4.25
 OWN = 'ball_radius_mm = 2.38\nno_contact = "no_contact.jpg"\nmarkers = true\n'
 
 
-def write_folder(data: Path, name: str, out: Path) -> None:
+def write_folder(data: Path, name: str, out: Path, scale: float | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     if name == "mini_markers":
         with (data / name / "contacts.csv").open(encoding="utf-8") as file:
@@ -54,7 +54,7 @@ def write_folder(data: Path, name: str, out: Path) -> None:
     else:
         files = sorted((data / name).glob("press_*.jpg"), key=lambda path: int(re.findall(r"\d+", path.stem)[0]))
         rows = [(path.name, "test" if index % 3 == 2 else "train") for index, path in enumerate(files)]
-    settings = MINI if name == "mini_markers" else OWN
+    settings = ("" if scale is None else f"mm_per_px = {scale}\n") + (MINI if name == "mini_markers" else OWN)
     (out / "photos.toml").write_text(settings, encoding="utf-8")
     with (out / "presses.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
@@ -103,6 +103,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--set", choices=["mini_markers", "dots427"])
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--scale", type=float, metavar="MM_PER_PX", help="handed on (default: left to the fit)")
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--dots", type=Path, metavar="SENSOR.toml")
     options = parser.parse_args()
@@ -112,7 +113,7 @@ def main() -> None:
             said = f"median error {np.median(errors):.2f} px of {np.median(moves):.2f} px of motion"
             print(f"{name} found: {len(errors)} dots moved {MOVED_PX:g} px or more: {said}")
     else:
-        write_folder(options.data, options.set, options.out)
+        write_folder(options.data, options.set, options.out, options.scale)
 
 
 if __name__ == "__main__":
