@@ -6,7 +6,8 @@
 
 Sets: `mini_markers` (a GelSight Mini, ball of 5.0 mm diameter, its gel by the data sheet; the half that its owner named is for testing)
 and `dots427` (a laboratory's own sensor, ball radius 2.38 mm; every third press by number is for testing). Nothing else is handed on: no
-scale (but with `--scale`), no place, no depth. The photographs carry no licence: they are read, and nothing made from them stays in this repository.
+place, no depth, and no scale but with `--scale`. The photographs carry no licence: they are read, and nothing made from them stays in this
+repository.
 
 Dots: dark blobs of the picture without contact, found again within half the distance of neighbours in a test press's photograph and
 in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, and of the
