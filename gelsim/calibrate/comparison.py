@@ -28,6 +28,7 @@ from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.optics.camera import seen_places
+from gelsim.optics.render import Renderer
 from gelsim.optics.rest import rest_pictures
 from gelsim.pipeline import outputs, stages
 from gelsim.results import Membrane
@@ -79,8 +80,9 @@ def compare(
     else:
         assert sensor is not None
         scene = _scene(sensor, photos, friction, mode)
-        presses = _presses(scene, photos, device, show)
-        membranes = [rest_membrane(scene), *_membranes(scene, photos, presses, device, show)]
+        dents = _dents(scene, photos)
+        presses = _presses(scene, photos, dents, device, show)
+        membranes = [rest_membrane(scene), *_membranes(scene, photos, presses, dents, device, show)]
         drawn = optics.render_frames(scene, membranes, device=device, progress=lambda done, total: show("render", done, total))
         rest, *shown = (frame.image.astype(float) for frame in drawn)
     rows = _rows(photos, presses, shown)
@@ -112,19 +114,21 @@ def summary(report: Mapping[str, Any]) -> str:
 
 
 def _scene(sensor: str, photos: Photos, friction: float | str, mode: str) -> Scene:
-    """The sensor, drawn at the photographs' size."""
+    """The sensor, drawn at the photographs' size, without noise."""
     scene = build_scene(
         {"sensor": {"preset": sensor}, "contact": {"friction_coefficient": friction}, "press": {"depth_mm": 0.1}},
         {"render": {"mode": mode, "spp": SPP, "resolution": list(photos.size)}},
     )
-    if photos.gel is not None:
-        scene = scene.replace(gel=photos.gel)
+    # A picture's expectation, not one of its draws, is compared.
+    none = (0.0, 0.0, 0.0)
+    camera = replace(scene.camera, noise_sd=none, full_well=none, read_noise=none)
+    scene = scene.replace(gel=photos.gel or scene.gel, camera=camera)
     if scene.camera.has_rest:
         rest_pictures(scene)  # of another aspect than the photographs: refused before anything is solved
     return scene
 
 
-def _presses(scene: Scene, photos: Photos, device: str, show: Progress) -> list[dict[str, Any]]:
+def _presses(scene: Scene, photos: Photos, dents: DentFamily | None, device: str, show: Progress) -> list[dict[str, Any]]:
     """Of each press x_mm and y_mm of its first touch, depth_mm, and whether they were found."""
     found = np.full((len(photos.files), 3), np.nan)
     given = np.isfinite(photos.hints[:, :2]).all(axis=1)
@@ -137,18 +141,22 @@ def _presses(scene: Scene, photos: Photos, device: str, show: Progress) -> list[
             "ball's are found from its photograph"
         )
     if missing.any():
-        found[missing] = _search(scene, photos.only(missing), found[missing], device, show)
+        assert dents is not None
+        found[missing] = _search(scene, photos.only(missing), found[missing], dents, device, show)
     names = ("x_mm", "y_mm", "depth_mm")
     return [dict(zip(names, map(float, row), strict=True)) | {"found": bool(lost)} for row, lost in zip(found, missing, strict=True)]
 
 
-def _dents(scene: Scene, photos: Photos) -> DentFamily:
+def _dents(scene: Scene, photos: Photos) -> DentFamily | None:
+    """Of the balls among the presses, if any."""
     balls = photos.balls_mm[np.isfinite(photos.balls_mm)]
+    if len(balls) == 0:
+        return None
     radii = np.unique(np.round(effective_radius(balls, curvature_of(scene.gel)), 6))
     return solve_family(scene.gel, radii, scene.gel.thickness_mm, scene.contact)
 
 
-def _search(scene: Scene, photos: Photos, known: Array, device: str, show: Progress) -> Array:
+def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, device: str, show: Progress) -> Array:
     """Places and depths of balls, shape (P, 3): what is NaN in `known` is found, the rest stays."""
     wide, high = photos.size
     factor = max(int(np.ceil(wide / FOUND_WIDTH)), 1)
@@ -164,13 +172,16 @@ def _search(scene: Scene, photos: Photos, known: Array, device: str, show: Progr
     begun = start.rough_presses(contacts, per_px, size, photos.balls_mm, 0.0, np.full(len(seen), 0.75 * scene.gel.thickness_mm))[:, :3]
     begun[:, :2] = seen_places(small, contacts[:, :2]) / MM
     places = np.where(np.isnan(known), begun, known)
-    dents, free = _dents(scene, photos), np.isnan(known)
+    free = np.isnan(known)
     rows, columns = np.mgrid[: size[1], : size[0]] + 0.5
     near = np.hypot(columns - contacts[:, 0, None, None], rows - contacts[:, 1, None, None]) <= start.FELT * contacts[:, 2, None, None]
 
+    variant = optics.choose_variant(device)
+    renderer = Renderer(small, variant)
+
     def drawn(presses: Array) -> Array:
         dented = [_ball(small, dents, ball, press) for ball, press in zip(photos.balls_mm, presses, strict=True)]
-        images = np.array([frame.image for frame in optics.render_frames(small, dented, device=device)], float)
+        images = np.array([frame.image for frame in optics.render_frames(small, dented, variant=variant, renderer=renderer)], float)
         return images * (near & counted)[..., None]
 
     wanted = seen * (near & counted)[..., None]
@@ -207,13 +218,14 @@ def _ball(scene: Scene, dents: DentFamily, ball_mm: float, press: Array) -> Memb
     return drawing.dented(scene, dents, ball_mm, np.array([*apex, press[2], 0.0, 0.0]))
 
 
-def _membranes(scene: Scene, photos: Photos, presses: Sequence[Mapping[str, Any]], device: str, show: Progress) -> list[Membrane]:
+def _membranes(
+    scene: Scene, photos: Photos, presses: Sequence[Mapping[str, Any]], dents: DentFamily | None, device: str, show: Progress
+) -> list[Membrane]:  # fmt: skip
     """The surface at every press."""
     balls = photos.balls_mm
     at = [np.array([press["x_mm"], press["y_mm"], press["depth_mm"]]) for press in presses]
     surfaces: dict[int, Membrane] = {}
-    if np.isfinite(balls).any():
-        dents = _dents(scene, photos)
+    if dents is not None:
         surfaces |= {index: _ball(scene, dents, balls[index], at[index]) for index in np.flatnonzero(np.isfinite(balls))}
     groups: dict[Any, list[int]] = {}
     for index in np.flatnonzero(np.isnan(balls)):
