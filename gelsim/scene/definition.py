@@ -325,7 +325,9 @@ class Coating:
 @dataclass(frozen=True)
 class Markers:
     layout: str = "grid"
-    """"grid" | "none"."""
+    """"grid" | "random": as many as a grid has, no two nearer than 2.5 radii | "list": those of places | "none"."""
+    places: str | None = None
+    """Of layout "list": a CSV file of x_mm, y_mm and, if wanted, radius_mm."""
     pitch_mm: float = 1.3
     radius_mm: float = 0.2
     tilt_deg: float = 0.0
@@ -441,7 +443,10 @@ def _check(scene: Scene) -> None:
         if abs(offset) > 0.5 * size:
             raise SceneError(f"press.offset_mm = {offset:g} mm along {axis}: the gel ends at {0.5 * size:g} mm from its centre")
     _check_optics(scene)
-    if scene.markers.layout != "none" and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
+    if (scene.markers.layout == "list") != (scene.markers.places is not None):
+        given = f"markers.layout = {scene.markers.layout!r} and markers.places = {scene.markers.places!r}"
+        raise SceneError(f'{given}: layout "list" needs a file, the others have none')
+    if scene.markers.layout not in ("none", "list") and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
         raise SceneError(
             f"markers.radius_mm = {scene.markers.radius_mm:g} mm: markers overlap unless it is less than half of "
             f"markers.pitch_mm = {scene.markers.pitch_mm:g} mm"

@@ -20,7 +20,7 @@ CHOICES: dict[str, Collection[str]] = {
     "object.law": materials.LAWS,
     "press.touch_at": ("apex", "centre"),
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
-    "markers.layout": ("grid", "none"),
+    "markers.layout": ("grid", "random", "list", "none"),
     "camera.tone": ("srgb", "linear"),
     "render.mode": ("baked", "path", "direct", "auto"),
 }
@@ -120,6 +120,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "markers.pitch_mm": (0.2, 50),
     "markers.radius_mm": (0.02, 10),
     "markers.tilt_deg": (-180, 180),
+    "markers.offset_mm": (-50, 50),
     "markers.jitter_mm": (0, 10),
     "markers.size_jitter": (0, 1),
     "markers.outline_jitter": (0, 1),
