@@ -169,8 +169,8 @@ def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, devic
         raise SceneError(f"{photos.files[index]}: no contact can be seen in it: give col_px, row_px and depth_mm in presses.csv")
     per_px = scene.camera.field_mm[0] / wide * factor
     small = scene.replace(render=replace(scene.render, resolution=size, spp=FOUND_SPP, mode="direct"))
-    begun = start.rough_presses(contacts, per_px, size, photos.balls_mm, 0.0, np.full(len(seen), 0.75 * scene.gel.thickness_mm))[:, :3]
-    begun[:, :2] = seen_places(small, contacts[:, :2]) / MM
+    deepest = np.full(len(seen), 0.75 * scene.gel.thickness_mm)
+    begun = start.rough_presses(seen_places(small, contacts[:, :2]) / MM, contacts[:, 2] * per_px, photos.balls_mm, deepest)[:, :3]
     places = np.where(np.isnan(known), begun, known)
     free = np.isnan(known)
     rows, columns = np.mgrid[: size[1], : size[0]] + 0.5

@@ -24,7 +24,7 @@ from gelsim.calibrate import dots, drawing, pictures, resting
 from gelsim.calibrate import start as beginning
 from gelsim.calibrate.dent import SHALLOWEST, Dents, effective_radius, solve_dents
 from gelsim.calibrate.fit import Data, Fitted, brightness, fit
-from gelsim.calibrate.model import Rest
+from gelsim.calibrate.model import Rest, rays
 from gelsim.calibrate.parameters import GLOBALS, PRESS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.preset import fitted_head, write_preset
@@ -145,17 +145,18 @@ def calibrate(
         spread = np.sqrt(np.maximum(np.diag(state.fitted.covariance), 0))
         places[state.which], press_sd[state.which] = state.fitted.presses, spread[count:].reshape(-1, len(PRESS))
         others = np.setdiff1d(np.arange(len(presses)), state.which)
-        dragged = np.zeros((0, len(PRESS)))
+        test, dragged = np.flatnonzero(photos.test), places.copy()
         if len(others):
-            found = _locate(job, state, places[others], sd[others], others, show)
-            places[others] = found.presses
-            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, len(PRESS))
-        test = np.flatnonzero(photos.test)
-        if len(test) and photos.markers:
             # Of a test press three numbers are found, place and depth; drag is found beside them, and said apart.
-            dragged, straight = places[test].copy(), sd[test].copy()
-            places[test, 3:], straight[:, 3:] = 0.0, UNDRAGGED
-            places[test] = _locate(job, state, places[test], straight, test, show).presses
+            straight = sd.copy()
+            straight[:, 3:] = UNDRAGGED
+            found = _locate(job, state, _rough(job, state.fitted.parameters)[others], straight[others], others, show)
+            dragged[others] = places[others] = found.presses
+            if photos.markers:
+                found = _locate(job, state, places[others], sd[others], others, show)
+                dragged[others] = found.presses
+            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, len(PRESS))
+            places[~photos.test] = dragged[~photos.test]
         fitted = state.fitted
 
         scene = _full_scene(job, fitted.parameters, full_rest)
@@ -170,9 +171,9 @@ def calibrate(
         before = _full_scene(job, first, full_rest)
         before_rest, before_shown = _draw(job, before, first, presses[rows], rows, CORRECTION_SPP, show, "before")
         report = _report(job, scene, fitted, state.believed, places, press_sd, shown_rest, shown, warnings)
-        if len(dragged):
-            _, drawn = _draw(job, scene, fitted.parameters, dragged, test, SCORE_SPP, show, "dragged")
-            report["scores"]["test_dragged"] = _dragged(report, photos, test, dragged, drawn)
+        if len(test) and photos.markers:
+            _, drawn = _draw(job, scene, fitted.parameters, dragged[test], test, SCORE_SPP, show, "dragged")
+            report["scores"]["test_dragged"] = _dragged(report, photos, test, dragged[test], drawn)
         report["states"] = {
             "presses_left_out": [photos.files[index] for index in judged],
             "judged_by": "presses of the fit that were left out" if len(judged) else "the presses of the fit: too few to leave some out",
@@ -235,6 +236,7 @@ def _states(job: _Job, mm_per_px: float, show: Progress) -> tuple[Parameters, Ar
     believed, fitted = _without_needless_lights(job, first, fitted, sd[kept], data, show)
     presses[kept] = fitted.presses
     states = [_State("fit", fitted, believed, kept, None)]
+    presses[judging] = _rough(job, fitted.parameters)[judging]
     for number in range(ROUNDS + 1):
         state = states[-1]
         if len(judging):
@@ -365,22 +367,26 @@ def _within_gel(photos: Photos, gel: Gel, warnings: list[str]) -> NDArray[np.boo
 
 
 def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:
-    photos = job.photos
     curvature, thickness = curvature_of(job.base.gel), job.base.gel.thickness_mm
     values = np.array([mm_per_px, job.base.camera.distance_mm, curvature, thickness, 0.1, 0.4, 1.0, 0.0, 0.0, 0.5])
     half_field = 0.5 * float(np.hypot(*job.size)) * mm_per_px
     lights = job.base.lights
     window = (lights.window_thickness_mm, lights.window_ior, lights.gel_ior)
     seed = Parameters(values, np.zeros((0, 7)), np.ones((1, 3)), half_field, job.size[0] / 2, window)
+    return seed, _rough(job, seed)
+
+
+def _rough(job: _Job, parameters: Parameters) -> Array:
+    """Presses by where their contacts are seen, how wide, and what was given, under a sensor; undragged."""
+    photos, curvature = job.photos, parameters.globals[2]
     deepest = job.dents.deepest(effective_radius(photos.balls_mm, curvature))
-    presses = beginning.rough_presses(job.contacts, mm_per_px, job.size, photos.balls_mm, curvature, deepest)
-    for k in range(2):
-        given = np.isfinite(photos.hints[:, k])
-        places = (photos.hints[given, k] / job.factor - job.size[k] / 2) * mm_per_px * (1 + photos.balls_mm[given] * curvature)
-        presses[given, k] = places
+    place = np.where(np.isfinite(photos.hints[:, :2]), photos.hints[:, :2] / job.factor, job.contacts[:, :2])
+    touched, _ = rays(parameters.shape(photos.balls_mm), place - np.array(job.size) / 2)
+    apex = touched * (1 + photos.balls_mm * curvature)[:, None]
+    presses = beginning.rough_presses(apex, job.contacts[:, 2] * parameters.globals[0], photos.balls_mm, deepest)
     given = np.isfinite(photos.hints[:, 2])
     presses[given, 2] = np.minimum(photos.hints[given, 2], deepest[given])
-    return seed, presses
+    return presses
 
 
 def _press_sd(job: _Job, presses: Array) -> Array:

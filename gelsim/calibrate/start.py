@@ -201,11 +201,7 @@ def choose_lights(seed: Parameters, presses: Array, data: Data, dents: Dents) ->
     return replace(seed, geometry=places[[chosen[k] for k in kept]], colours=np.maximum(colours, floor))
 
 
-def rough_presses(
-    contacts: Array, mm_per_px: float, size: tuple[float, float], balls_mm: Array, curvature: float, deepest_mm: Array
-) -> Array:
-    """Presses as of PRESS from the dents' middles and radii, undragged."""
-    at = (contacts[:, :2] - np.array(size) / 2) * mm_per_px * (1 + balls_mm * curvature)[:, None]
-    contact = contacts[:, 2] * mm_per_px / DRAPE
-    depth = np.clip(contact**2 / balls_mm, 2 * SHALLOWEST, 0.8 * deepest_mm)
-    return np.column_stack([at, depth, np.zeros((len(at), 2))])
+def rough_presses(apex_mm: Array, radius_mm: Array, balls_mm: Array, deepest_mm: Array) -> Array:
+    """Presses as of PRESS, undragged, from the apexes' places, shape (P, 2), and the dents' visible radii."""
+    depth = np.clip((radius_mm / DRAPE) ** 2 / balls_mm, 2 * SHALLOWEST, 0.8 * deepest_mm)
+    return np.column_stack([apex_mm, depth, np.zeros((len(depth), 2))])

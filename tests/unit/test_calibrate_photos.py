@@ -179,7 +179,8 @@ def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
         fits.append(len(presses))
         return run.Fitted(sensor, presses, 0.0, 1.0, 1.0, np.eye(1), 1)
 
-    monkeypatch.setattr(run, "_seed", lambda *_: (sensor, np.zeros((8, 3))))
+    monkeypatch.setattr(run, "_seed", lambda *_: (sensor, np.zeros((8, 5))))
+    monkeypatch.setattr(run, "_rough", lambda *_: np.zeros((8, 5)))
     monkeypatch.setattr(run.beginning, "choose_lights", lambda *_: sensor)
     monkeypatch.setattr(run, "_fit", fitted)
     monkeypatch.setattr(run, "_without_needless_lights", lambda job, first, rough, *_: (first, rough))
