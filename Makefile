@@ -28,6 +28,7 @@ lint: .venv/stamp
 	$(BIN)/python -m pytest tests/meta/test_layers.py
 
 docs: .venv/stamp
+	$(BIN)/python tests/meta/structure.py --svg docs/images/architecture.svg
 	$(BIN)/mkdocs build
 	@echo "Look at out/site/index.html"
 

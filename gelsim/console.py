@@ -51,6 +51,19 @@ class Parser(argparse.ArgumentParser):
         return options
 
 
+class ShowVersion(argparse.Action):
+    """A flag that prints which gelsim is installed; looked up only then, as that takes a tenth of what help may."""
+
+    def __init__(self, option_strings: list[str], dest: str) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help="print the version")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        import importlib.metadata
+
+        print(f"{parser.prog} {importlib.metadata.version('gelsim')}")
+        parser.exit()
+
+
 def field_docs(module: ModuleType) -> dict[str, dict[str, str]]:
     """Class name -> field -> the string under it, read from the module's source: Python keeps no docstrings of fields."""
     assert module.__file__

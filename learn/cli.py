@@ -72,6 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser(prog="gelsim-learn", description=ABOUT)
+    parser.add_argument("--version", action=console.ShowVersion)
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
     train = commands.add_parser("train", help="train a network on presses")
     train.add_argument("--data", required=True, type=Path, metavar="DIR", help="a dataset of presses")

@@ -18,7 +18,7 @@ from typing import Any
 
 from gelsim.bench import SECTIONS
 from gelsim.cli.flags import Parser, add_scene_flags, layer_of
-from gelsim.console import progress_bars
+from gelsim.console import ShowVersion, progress_bars
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene, read_layer, scene_table
@@ -138,6 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> Parser:
     parser = Parser(prog="gelsim", description=ABOUT)
+    parser.add_argument("--version", action=ShowVersion)
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
     render = commands.add_parser("render", help="scene to tactile video: meshes, mechanics, light", epilog=RENDER_EXAMPLES, usage=USAGE)
     _add_common(render, _render)

@@ -1,8 +1,8 @@
 """NVIDIA's cuDSS for batches: LDLᵀ of many symmetric matrices with one pattern, all on the GPU (the package nvidia-cudss).
 
 Plain pivots, as for PARDISO (linear.py): with -C < 0 the matrices are quasi-definite. No matching either, which cuDSS 1.0 does by itself
-for a batch of one, by the values at the analysis: here there are none yet; presses that failed at first touch did not do so for that
-(docs/mechanics.md §3, frozen points beside a rim). A mask says which of the batch a call is for.
+for a batch of one, by the values at the analysis: here there are none yet; presses that failed at first touch did not do so for that,
+but for points frozen beside a rim. A mask says which of the batch a call is for.
 """
 
 from __future__ import annotations

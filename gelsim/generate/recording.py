@@ -31,7 +31,8 @@ from gelsim.scene.shape_table import SHAPES
 from gelsim.units import MM
 
 STATES = 8
-"""Solved states of the expected travel, and at most three times as many where it is longer than that (docs/datasets.md: what for)."""
+"""Solved states of the expected travel, and at most three times as many where it is longer: what
+interpolation between them is off by is in docs/datasets.md."""
 LONGEST = 60
 """Frames of a slow robot's press at most."""
 ENOUGH = 0.6

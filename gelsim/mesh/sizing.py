@@ -63,7 +63,7 @@ class MeshSizes:
     object_far: float
     envelope: float
     """How far fTetWild may move an object's surface before its vertices are put back, per smallest edge length. Twice as far takes a third
-    less time and gives tets as good, but radii of contact that scatter more (docs/meshing.md)."""
+    less time and gives tets as good, but radii of contact that scatter more (docs/decisions/0010)."""
     deeper: bool
     """Whether the depth to which an object is fine is rounded up to a class as well: more presses of an object share its mesh."""
 

@@ -43,7 +43,7 @@ kernels are compiled then. For fewer than SECONDS / STILL busy ones it is SECOND
 out twice what the slowest piece took: slow pieces are no standstill."""
 QUIET, TIMES = 20.0, 40.0
 """The same of at least SECONDS / STILL workers that have all begun, while more is handed out: so many seconds, or so many times the mean
-from one answer to the next, by what the last pieces took. On one H100 32 workers stood still every few minutes (docs/datasets.md)."""
+from one answer to the next, by what the last pieces took. On one H100 32 workers stood still every few minutes (docs/decisions/0007)."""
 
 TOGETHER = 5.0
 """Seconds within which two workers that share a GPU end of one fault: the others are about to."""

@@ -79,6 +79,14 @@ def test_sensors(repository: Path, tmp_path: Path) -> None:
     assert force > 0
 
 
+@pytest.mark.slow
+def test_first_network(repository: Path, tmp_path: Path) -> None:
+    found = runpy.run_path(str(repository / "docs" / "examples" / "first_network.py"))["main"](quick=True, folder=tmp_path)
+    assert len((tmp_path / "data" / "meta" / "episodes.jsonl").read_text().splitlines()) == 2
+    # Twenty steps teach next to nothing: a network that says so, by half of the spread of 8 to 87 evenly, 23, or more.
+    assert len(found) == 3 and all(answer["status"] == "ok" and answer["spread"] > 11 for answer in found)
+
+
 def test_the_study_in_python_runs_as_the_docs_have_it(repository: Path, tmp_path: Path) -> None:
     """In processes of its own, which learn its metric by reading the file again."""
     text = (repository / "docs" / "extending.md").read_text(encoding="utf-8")

@@ -41,7 +41,7 @@ def force(skin: Skin, fidelity: str) -> float:
 def test_a_skin_ten_times_stiffer() -> None:
     skin = Skin(thickness_mm=1.0, youngs_modulus_kpa=1000)
     coarse, fine, bare = force(skin, "fast"), force(skin, "balanced"), force(Skin(), "fast")
-    # forces of a single material at `fast` are within 2 % of converged ones (docs/meshing.md): a skin is resolved as well
+    # forces of a single material at `fast` are within 2 % of converged ones (docs/validation.md, Accuracy): a skin is resolved as well
     assert coarse == pytest.approx(fine, rel=0.02)
     assert 1.3 * bare < fine < force(Skin(thickness_mm=1.0, youngs_modulus_kpa=100000), "fast")
 

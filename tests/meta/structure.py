@@ -1,6 +1,7 @@
 """The structure of the code as its imports have it: rooms, arrows between them, circles of files. Read from the syntax trees.
 
-    python tests/meta/structure.py [FOLDER]      the counts, and every circle
+    python tests/meta/structure.py [FOLDER]                                 the counts, and every circle
+    python tests/meta/structure.py --svg docs/images/architecture.svg       the picture of docs/index.md; make docs draws it too
 
 A room is a package of `gelsim/` or a file at its top; an arrow is a pair of rooms of which the first imports the second; a circle is a
 set of files that import each other, at the top of a file or inside a function. What only types need (`if TYPE_CHECKING:`) counts too.
@@ -63,11 +64,59 @@ def circles(graph: dict[str, set[str]]) -> list[set[str]]:
     return [set(circle) for circle in dict.fromkeys(found)]
 
 
+def between_rooms(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
+    """The arrows between rooms."""
+    pairs = {(room(name), room(other)) for name, others in graph.items() for other in others}
+    return {(one, other) for one, other in pairs if one != other}
+
+
+def picture(root: Path = ROOT) -> str:
+    """SVG of the rooms, each a row above the highest that it imports, without the entrances and without lines that longer ways imply."""
+    graph = arrows(root) | {module_of(path, root): set(imports(path)) for path in (root / "learn").glob("*.py")}
+    learner = {(one, other) for one, others in graph.items() for other in others if one.startswith("learn") and other.startswith("gelsim.")}
+    inner = between_rooms({name: others for name, others in graph.items() if name.startswith("gelsim")})
+    below: dict[str, set[str]] = {}
+    for one, other in inner | {("learn", room(other)) for _, other in learner}:
+        if not {one, other} & {"__init__", "__main__"}:
+            below.setdefault(one, set()).add(other)
+            below.setdefault(other, set())
+    reach: dict[str, set[str]] = {}
+    row: dict[str, int] = {}
+    for name in TopologicalSorter(below).static_order():
+        reach[name] = below[name].union(*(reach[other] for other in below[name]))
+        row[name] = max((row[other] + 1 for other in below[name]), default=0)
+    rows = [sorted(name for name in row if row[name] == number) for number in range(max(row.values()) + 1)]
+    wide, high, gap, rim = 110, 30, 34, 16
+    width, height = max(len(names) for names in rows) * (wide + rim) + rim, len(rows) * (high + gap) + rim
+    place: dict[str, tuple[float, int]] = {}
+    for number, names in enumerate(rows):
+        # above the middle of what it uses, so that lines are short
+        names.sort(key=lambda name: (sum(place[other][0] for other in below[name]) / max(len(below[name]), 1), name))
+        top = height - rim - high - number * (high + gap)
+        place |= {name: (width / len(names) * (at + 0.5), top) for at, name in enumerate(names)}
+    lines, boxes, words = [], [], []
+    for name, (x, y) in place.items():
+        boxes.append(f'<rect x="{x - wide / 2:.0f}" y="{y}" width="{wide}" height="{high}" rx="4"/>')
+        words.append(f'<text x="{x:.0f}" y="{y + 20}">{name}</text>')
+        for other in sorted(below[name]):
+            if not any(other in reach[third] for third in below[name]):
+                to_x, to_y = place[other]
+                bend = (y + high + to_y) / 2
+                lines.append(f'<path d="M{x:.0f} {y + high} C{x:.0f} {bend:.0f} {to_x:.0f} {bend:.0f} {to_x:.0f} {to_y}"/>')
+    return "\n".join([
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="14">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        '<g fill="none" stroke="#999">', *lines, "</g>",
+        '<g fill="#eef3fa" stroke="#345">', *boxes, "</g>",
+        '<g fill="#123" text-anchor="middle">', *words, "</g></svg>\n",
+    ])  # fmt: skip
+
+
 def main(root: Path) -> None:
     """Prints the counts."""
     graph = arrows(root)
     rooms = {room(name) for name in graph if name != "gelsim"}
-    between = {(room(name), room(other)) for name, others in graph.items() for other in others} - {(one, one) for one in rooms}
+    between = between_rooms(graph)
     round_and_round = circles(graph)
     print(f"{len(rooms)} rooms, {len(between)} arrows between them, {len(round_and_round)} circles of files")
     print(f"{len(list((root / 'gelsim').glob('*.py')))} files at the top of gelsim/, {len(graph)} in all")
@@ -79,4 +128,7 @@ def main(root: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT)
+    if sys.argv[1:2] == ["--svg"]:
+        Path(sys.argv[2]).write_text(picture(), encoding="utf-8")
+    else:
+        main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import struct
 from collections.abc import Iterator
@@ -45,6 +46,14 @@ def box(size: float, faces: int = 12) -> list[list[tuple[float, float, float]]]:
     corners = [(x * size, y * size, z * size) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return [[corners[i] for i in triangle] for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))][:faces]
+
+
+@pytest.mark.parametrize("module", ["gelsim.cli.main", "learn.cli"])
+def test_the_version_is_that_of_the_package(module: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        importlib.import_module(module).main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.split()[1:] == [importlib.metadata.version("gelsim")]
 
 
 def test_flags_are_fields() -> None:

@@ -114,8 +114,8 @@ def test_equal_pictures_are_kept_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_episode(path).frames, made.frames)
     # Any other reader of tars sees the same files.
     with tarfile.open(path) as tar:
-        tar.extractall(tmp_path / "out", filter="data")
-    assert (tmp_path / "out/frames/0005.webp").read_bytes() == (tmp_path / "out" / last).read_bytes()
+        one, other = tar.extractfile("frames/0005.webp"), tar.extractfile(last)
+        assert one is not None and other is not None and one.read() == other.read() != b""
     # The sums count each frame: exactly, for they are whole numbers.
     sums = survey(tmp_path).sums[0]
     for name, values in (("levels", made.frames), ("change", made.frames.astype(np.int64) - made.background)):

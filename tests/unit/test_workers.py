@@ -268,7 +268,7 @@ def test_all_that_stand_still_before_the_first_answer_are_waited_for_longer(run:
 
 @pytest.mark.parametrize("count", [1, 2, 4, 8, 32])
 def test_slow_pieces_are_no_standstill(count: int, run: Callable) -> None:
-    """Seconds as of a dataset's presses (docs/datasets.md): most 3, one in 200 up to 823; none may be lost or done anew for them."""
+    """Seconds as of a dataset's presses: most 3, one in 200 up to 823; none may be lost or done anew for them."""
     seconds = random.Random(count)
     known = {n: (seconds.uniform(120.0, 823.0) if seconds.random() < 0.005 else seconds.lognormvariate(1.1, 0.7)) for n in range(3000)}
     crew = Crew(count, lambda _, handful: ("done", 3.0 if handful is None else known[handful[0]]))
