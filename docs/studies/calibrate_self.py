@@ -3,9 +3,9 @@
     python docs/studies/calibrate_self.py --out out/calibrate_self [--presses 16] [--size 160x120] [--fem 2] [--markers]
 
 The sensor: a dome of 45 mm radius and 3.2 mm thickness, three lights at other places and of other sizes than any start, a coat of a fifth
-flakes, inter-reflection on. Balls of 2.5 mm, or of the radii of `--balls` in turn, at places and depths drawn by lot; every fourth is a test
-press. `--fem` N: the dents of the first N test presses are solved in three dimensions on the dome, not taken from the family the fit uses.
-Noise: 1.5 levels, then 8 bits. `--markers`: black dots of 0.25 mm radius every 2 mm move with the gel.
+flakes, inter-reflection on. Balls of 2.5 mm, or of the radii of `--balls` in turn, at places and depths drawn by lot; every fourth is for
+testing. `--fem` N: the dents of the first N test presses are solved in three dimensions on the dome, not taken from the family that the fit
+uses. Noise: 1.5 levels, then 8 bits. `--markers`: black dots of 0.25 mm radius every 2 mm move with the gel.
 Prints each parameter with its truth and its distance in standard deviations, and writes found.csv.
 """
 

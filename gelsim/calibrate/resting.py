@@ -65,7 +65,13 @@ def _sized(scene: Scene, photos: Photos) -> Scene:
     wide, high = photos.size
     per_px = photos.mm_per_px or scene.camera.field_mm[0] / wide
     camera = replace(
-        scene.camera, resolution=photos.size, field_mm=(per_px * wide, per_px * high), rest=None, shading=(), noise_sd=(0.0, 0.0, 0.0)
+        scene.camera,
+        resolution=photos.size,
+        field_mm=(per_px * wide, per_px * high),
+        rest=None,
+        rest_smooth=(),
+        shading=(),
+        noise_sd=(0.0, 0.0, 0.0),
     )
     return scene.replace(gel=photos.gel or scene.gel, camera=camera, render=replace(scene.render, resolution=photos.size))
 
