@@ -2,8 +2,9 @@
 
 A press is a row of presses.csv (`calibrate.photos`): what was pressed, where it touched and how deep. A ball's dent is that of its
 axisymmetric press, moved to its place (`calibrate.dent`); of a ball place or depth may be missing, and are then found from the photograph:
-three numbers by least squares on the renderer's own pictures, everything else held. Any other object is pressed at its place, rows that
-differ in depth alone in one press. In place of a sensor there may be pictures drawn before, paired with photographs by their names.
+three numbers by least squares on the renderer's own pictures, and where there are markers two more, how far it was dragged. Any other
+object is pressed at its place, rows that differ in depth alone in one press. In place of a sensor there may be pictures drawn before,
+paired with photographs by their names.
 
 Place: where the pixel's ray meets the gel's surface at rest. Left out: a shape's place found from its photograph.
 """
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from gelsim import optics
 from gelsim.calibrate import drawing, pictures, start
 from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius, solve_family
-from gelsim.calibrate.parameters import curvature_of
+from gelsim.calibrate.parameters import PRESS, curvature_of
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.reading import SUFFIXES, Reader
 from gelsim.data.metrics import picture_errors, said
@@ -29,7 +30,7 @@ from gelsim.errors import SceneError
 from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.optics.camera import seen_places
 from gelsim.optics.render import Renderer
-from gelsim.optics.rest import rest_pictures
+from gelsim.optics.rest import resized, rest_pictures
 from gelsim.pipeline import outputs, stages
 from gelsim.results import Membrane
 from gelsim.scene.definition import Press, Scene
@@ -129,8 +130,9 @@ def _scene(sensor: str, photos: Photos, friction: float | str, mode: str) -> Sce
 
 
 def _presses(scene: Scene, photos: Photos, dents: DentFamily | None, device: str, show: Progress) -> list[dict[str, Any]]:
-    """Of each press x_mm and y_mm of its first touch, depth_mm, and whether they were found."""
-    found = np.full((len(photos.files), 3), np.nan)
+    """Of each press x_mm and y_mm of its first touch, and the rest of PRESS; whether they were found."""
+    found = np.zeros((len(photos.files), len(PRESS)))
+    found[:, :2] = np.nan
     given = np.isfinite(photos.hints[:, :2]).all(axis=1)
     found[given, :2] = seen_places(scene, photos.hints[given, :2]) / MM
     found[:, 2] = photos.hints[:, 2]
@@ -142,9 +144,10 @@ def _presses(scene: Scene, photos: Photos, dents: DentFamily | None, device: str
         )
     if missing.any():
         assert dents is not None
+        if photos.markers:  # which show what a hand has dragged
+            found[missing, 3:] = np.nan
         found[missing] = _search(scene, photos.only(missing), found[missing], dents, device, show)
-    names = ("x_mm", "y_mm", "depth_mm")
-    return [dict(zip(names, map(float, row), strict=True)) | {"found": bool(lost)} for row, lost in zip(found, missing, strict=True)]
+    return [dict(zip(PRESS, map(float, row), strict=True)) | {"found": bool(lost)} for row, lost in zip(found, missing, strict=True)]
 
 
 def _dents(scene: Scene, photos: Photos) -> DentFamily | None:
@@ -157,20 +160,18 @@ def _dents(scene: Scene, photos: Photos) -> DentFamily | None:
 
 
 def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, device: str, show: Progress) -> Array:
-    """Places and depths of balls, shape (P, 3): what is NaN in `known` is found, the rest stays."""
+    """Balls' presses, shape (P, 5): what is NaN in `known` is found, the rest stays."""
     wide, high = photos.size
-    factor = max(int(np.ceil(wide / FOUND_WIDTH)), 1)
-    size = wide // factor, high // factor
-    seen = start.reduce(photos.pictures, factor)
-    rest = start.reduce(photos.no_contact[None], factor)[0]
-    counted = start.reduce(np.repeat(photos.counted[None, ..., None], 3, axis=3).astype(float), factor)[0, ..., 0] > 0.999
+    size = min(wide, FOUND_WIDTH), round(min(wide, FOUND_WIDTH) * high / wide)
+    seen = np.array([resized(picture, size) for picture in photos.pictures])
+    rest, counted = resized(photos.no_contact, size), resized(np.repeat(255.0 * photos.counted[..., None], 3, axis=2), size)[..., 0] > 254
     contacts, sure = start.find_contacts(rest, seen, counted)
     for index in np.flatnonzero(~sure):
         raise SceneError(f"{photos.files[index]}: no contact can be seen in it: give col_px, row_px and depth_mm in presses.csv")
-    per_px = scene.camera.field_mm[0] / wide * factor
+    per_px = scene.camera.field_mm[0] / size[0]
     small = scene.replace(render=replace(scene.render, resolution=size, spp=FOUND_SPP, mode="direct"))
     deepest = np.full(len(seen), 0.75 * scene.gel.thickness_mm)
-    begun = start.rough_presses(seen_places(small, contacts[:, :2]) / MM, contacts[:, 2] * per_px, photos.balls_mm, deepest)[:, :3]
+    begun = start.rough_presses(seen_places(small, contacts[:, :2]) / MM, contacts[:, 2] * per_px, photos.balls_mm, deepest)
     places = np.where(np.isnan(known), begun, known)
     free = np.isnan(known)
     rows, columns = np.mgrid[: size[1], : size[0]] + 0.5
@@ -190,15 +191,15 @@ def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, devic
     cost = ((wanted - here) ** 2).sum(axis=(1, 2, 3))
     for done in range(ROUNDS):
         show("search", done, ROUNDS)
-        columns_of = np.zeros((*here.shape, 3))
-        for k in range(3):
+        columns_of = np.zeros((*here.shape, len(PRESS)))
+        for k in np.flatnonzero(free.any(axis=0)):
             moved = places.copy()
             moved[:, k] += STEP_MM
             columns_of[..., k] = (drawn(moved) - here) / STEP_MM
         trial = places.copy()
         for index in range(len(seen)):
             some = np.flatnonzero(free[index])
-            jacobian = columns_of[index].reshape(-1, 3)[:, some]
+            jacobian = columns_of[index].reshape(-1, len(PRESS))[:, some]
             normal = jacobian.T @ jacobian
             normal += damping[index] * np.diag(np.diag(normal) + 1e-9)
             trial[index, some] += np.clip(np.linalg.solve(normal, jacobian.T @ (wanted - here)[index].ravel()), -0.5, 0.5)
@@ -213,9 +214,9 @@ def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, devic
 
 
 def _ball(scene: Scene, dents: DentFamily, ball_mm: float, press: Array) -> Membrane:
-    """The surface under a ball that touched first at press[:2] [mm], press[2] [mm] deep."""
+    """The surface under a ball that touched first at press[:2] [mm]; the rest of `press` is that of PRESS."""
     apex = press[:2] * (1 + ball_mm * curvature_of(scene.gel))
-    return drawing.dented(scene, dents, ball_mm, np.array([*apex, press[2], 0.0, 0.0]))
+    return drawing.dented(scene, dents, ball_mm, np.array([*apex, *press[2:]]))
 
 
 def _membranes(
@@ -223,7 +224,7 @@ def _membranes(
 ) -> list[Membrane]:  # fmt: skip
     """The surface at every press."""
     balls = photos.balls_mm
-    at = [np.array([press["x_mm"], press["y_mm"], press["depth_mm"]]) for press in presses]
+    at = [np.array([press[name] for name in PRESS]) for press in presses]
     surfaces: dict[int, Membrane] = {}
     if dents is not None:
         surfaces |= {index: _ball(scene, dents, balls[index], at[index]) for index in np.flatnonzero(np.isfinite(balls))}
