@@ -38,7 +38,7 @@ GEL = 275.0
 NOISE = (2.0, 1.4, 2.5)
 """Standard deviations of a Mini's camera [levels], measured."""
 HEAD = """{name}: GelSight Mini {kind}, gel by the maker's data sheet. Lamps, coat, camera and rest are those of
-one Mini, fitted to 15 photographs of a pressed ball (docs/studies/mini_preset.py, whose two commands write this file); what is not
+one Mini, fitted to 15 photographs of a pressed ball (by the commands of docs/studies/mini_preset.py); what is not
 determined by them is near its start, and lamps are those that explain dents, not the sensor's own (docs/calibrate.md).
 The gel's modulus is quoted from 140 to 840 kPa. The noise is measured. The scale, 0.058 mm a pixel of 320, is the data sheet's field."""
 

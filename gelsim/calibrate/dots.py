@@ -8,11 +8,13 @@ and direction to the nearest neighbour; radius is that of the median area. Left 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.optics.camera import seen_places
+from gelsim.optics.rest import DARKEST, even_part, untoned
 from gelsim.scene.definition import Markers, Scene
 from gelsim.units import MM
 
@@ -34,8 +36,26 @@ def dark_pixels(photos: Array) -> NDArray[np.bool_]:
 
 
 def grid_of(scene: Scene, no_contact: Array) -> Markers | None:
-    """The markers of a scene's camera's picture (H, W, 3), which is of its render resolution."""
-    return marker_grid(no_contact, lambda pixels: seen_places(scene, pixels) / MM, scene.camera.field_mm[0] / no_contact.shape[1])
+    """The markers of a scene's camera's picture (H, W, 3), which is of its render resolution, as dark and as large as they are in it."""
+    from scipy import ndimage
+
+    scale = scene.camera.field_mm[0] / no_contact.shape[1]
+    grid = marker_grid(no_contact, lambda pixels: seen_places(scene, pixels) / MM, scale)
+    if grid is None:
+        return None
+    even = np.maximum(untoned(scene, even_part(no_contact)), DARKEST)
+    paint = (untoned(scene, no_contact) / even).mean(axis=2)
+    labels, count = ndimage.label(dark_pixels(no_contact[None])[0])  # type: ignore[misc]
+    darkest = float(np.median(ndimage.labeled_comprehension(paint, labels, np.arange(1, count + 1), _dark, float, 1.0)))
+    # A blurred disc takes as much light as a sharp one: its area is that light over what its middle takes.
+    taken = np.clip(1 - paint, 0, 1)[ndimage.binary_dilation(labels > 0, iterations=3)].sum() / count
+    radius = float(np.sqrt(taken / (np.pi * max(1 - darkest, 0.05)))) * scale
+    albedo = float(np.clip(darkest, 0, 1) * np.mean(scene.coating.albedo))
+    return replace(grid, radius_mm=min(radius, 0.45 * grid.pitch_mm), albedo=albedo)
+
+
+def _dark(paint: Array) -> float:
+    return float(np.percentile(paint, 10))
 
 
 def marker_grid(no_contact: Array, place: Callable[[Array], Array], mm_per_px: float) -> Markers | None:
