@@ -1,8 +1,9 @@
 """A sensor from its no-contact photograph alone: the preset that is nearest to it, with that photograph as its rest.
 
 Gel, lamps, coat and camera stay the preset's, so what a press looks like is the preset's too; at rest it is the photograph. Its lamps are
-made as bright as the photograph is: white balance and exposure such that the preset's own rest, smoothed, has the photograph's mean in
-every colour. Left out: what the photograph says of where light comes from, which no rest tells (docs/decisions/0005-rest-measured.md).
+made as bright as the photograph is: white balance and exposure change by as much as the preset's own rest would have to, to have the
+photograph's mean in every colour. Left out: what the photograph says of where light comes from, which no rest tells
+(docs/decisions/0005-rest-measured.md).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from gelsim.errors import SceneError
 from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.rest import even_part, rest_name, save_levels, untoned
 from gelsim.pipeline import outputs
-from gelsim.scene.definition import Markers, Scene
+from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene, is_preset
 
 WIDTH, SPP = 96, 64
@@ -36,9 +37,8 @@ def at_rest(photos: Photos, folder: outputs.ResultFolder, out: Path, sensor: str
             f"--sensor {sensor}: a no-contact photograph alone needs a preset to start from, the one nearest to your sensor; with "
             "photographs of presses a sensor is found without one"
         )
-    scene, warnings = _sized(build_scene({"sensor": {"preset": sensor}}), photos), []
-    scene = scene.replace(markers=Markers(layout="none"))
-    scene = _as_bright(scene, photos, device)
+    preset = build_scene({"sensor": {"preset": sensor}, "markers": {"layout": "none"}})
+    scene, warnings = _sized(_as_bright(preset, photos, device), photos), []
     if photos.markers:
         grid = dots.grid_of(scene, photos.no_contact)
         if grid is None:
@@ -77,7 +77,8 @@ def _sized(scene: Scene, photos: Photos) -> Scene:
 
 
 def _as_bright(scene: Scene, photos: Photos, device: str) -> Scene:
-    small = scene.replace(render=replace(scene.render, resolution=(WIDTH, max(round(WIDTH * photos.size[1] / photos.size[0]), 1)), spp=SPP))
+    wide, high = scene.camera.resolution
+    small = scene.replace(render=replace(scene.render, resolution=(WIDTH, max(round(WIDTH * high / wide), 1)), spp=SPP))
     wanted, drawn = (untoned(scene, even_part(levels)).mean(axis=(0, 1)) for levels in (photos.no_contact, _picture(small, device)))
     gain = np.array(scene.camera.white_balance) * wanted / np.maximum(drawn, 1e-3)
     balance = tuple(float(part) for part in gain / gain.max())
