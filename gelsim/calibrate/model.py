@@ -179,7 +179,7 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
     away = away * (before / distance)[:, None]
     contact = np.sqrt(radius * seen.depth[some])
     at = seen.centre[some] + away - carried(away, contact, shape.layers[-1][0], seen.drag[some])
-    height = _dome(shape.curvature, at)[0]
+    height = dome(shape.curvature, at)[0]
     here = place[some]
     for _ in range(3):
         start, slope = rays(shape, here)
@@ -188,14 +188,14 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
     return place
 
 
-def _dome(curvature: float, at: Array) -> tuple[Array, Array]:
+def dome(curvature: float, at: Array) -> tuple[Array, Array]:
     """Height and gradient of the dome; the root is that of a sphere, 1 − κ²ρ² kept positive."""
     root = np.sqrt(np.maximum(1 - curvature**2 * (at**2).sum(axis=-1), 0.05))
     return -curvature * (at**2).sum(axis=-1) / (1 + root), -curvature * at / root[..., None]
 
 
 def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Array, touched: NDArray, radius: Array):
-    z, gradient = _dome(shape.curvature, at)
+    z, gradient = dome(shape.curvature, at)
     away = at[touched] - centre[touched]
     distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
     dent, slope = dents.surface(distance, depth[touched], radius[touched])

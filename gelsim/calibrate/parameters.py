@@ -41,8 +41,8 @@ VEIL_Z, VEIL_SIZE = -500.0, 150.0
 OUT_OF_VIEW = 1.0
 """Lights that start at least so far out, in half diagonals of the field, stand beside the picture at any height; the others below the gel,
 nearer to the axis, as strips along the window's rim or in a narrow housing do."""
-NEAREST, CLEAR_MM = 0.2, 0.5
-"""Of the lights below the gel: to the axis [half diagonals], and from the gel's inner face [mm]."""
+NEAREST, CLEAR_MM, BELOW_COAT_MM = 0.2, 0.5, 0.05
+"""Of the lights below the gel: to the axis [half diagonals], from the gel's inner face [mm]; of those beside the picture, from the coat."""
 
 # name -> (standard deviation of the prior, lowest, highest)
 PRIORS = {
@@ -82,6 +82,8 @@ class Parameters:
     """Half the picture's width."""
     window: tuple[float, float, float]
     """Its thickness [mm] and index, and the gel's index."""
+    gel_half_mm: tuple[float, float] = (0.0, 0.0)
+    """Of the gel along x and y: a light there stays below its coat."""
 
     @property
     def vector(self) -> Array:
@@ -142,7 +144,10 @@ class Parameters:
         if index == len(self.geometry):
             return np.array([0.0, 0.0, VEIL_Z, 0.0, np.pi / 2, VEIL_SIZE, VEIL_SIZE])
         away, azimuth, z, turn, elevation, length, height = self.geometry[index]
-        place = [away * np.cos(azimuth), away * np.sin(azimuth), z]
+        at = np.array([away * np.cos(azimuth), away * np.sin(azimuth)])
+        if (np.abs(at) < self.gel_half_mm).all():
+            z = min(z, float(model.dome(self.globals[2], at)[0]) - BELOW_COAT_MM)
+        place = [*at, z]
         return np.array([*place, azimuth + np.pi + turn, elevation, np.exp(length), np.exp(height)])
 
 

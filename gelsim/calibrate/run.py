@@ -372,7 +372,15 @@ def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:
     half_field = 0.5 * float(np.hypot(*job.size)) * mm_per_px
     lights = job.base.lights
     window = (lights.window_thickness_mm, lights.window_ior, lights.gel_ior)
-    seed = Parameters(values, np.zeros((0, 7)), np.ones((1, 3)), half_field, job.size[0] / 2, window)
+    seed = Parameters(
+        values,
+        np.zeros((0, 7)),
+        np.ones((1, 3)),
+        half_field,
+        job.size[0] / 2,
+        window,
+        (job.base.gel.size_mm[0] / 2, job.base.gel.size_mm[1] / 2),
+    )
     return seed, _rough(job, seed)
 
 

@@ -14,6 +14,7 @@ from gelsim.calibrate.parameters import Parameters, curvature_of, dome_of, empty
 from gelsim.optics.camera import project
 from gelsim.optics.rest import even_part, save_levels
 from gelsim.scene.definition import Camera, Gel, Lights, Render
+from gelsim.shape.shapes import gel_height
 
 BALL_MM, CURVATURE, SIZE = 2.0, 1 / 40, (48, 36)
 ROW, COLUMN = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
@@ -122,7 +123,7 @@ def test_the_dent_conforms_to_the_ball(dents):
     family = dents.at(2.4)
     rho = np.linspace(0.02, 0.6, 30)
     dented, _ = family.surface(rho, np.full(30, depth), effective_radius(BALLS[:1], CURVATURE))
-    dome, _ = model._dome(shape.curvature, np.column_stack([rho, np.zeros(30)]))
+    dome, _ = model.dome(shape.curvature, np.column_stack([rho, np.zeros(30)]))
     ball = -depth + BALL_MM - np.sqrt(BALL_MM**2 - rho**2)
     # The family presses a ball of R' = 1.905 mm into a plane; to fourth order the two differ by ρ⁴ (1/R'³ - 1/R³) / 8 = 0.3 µm at 0.6 mm.
     # The rest is the contact's own overlap and the tables' steps: 2 µm.
@@ -159,3 +160,16 @@ def test_rays_are_the_camera_s(dents):
     for height in (0.0, -1.0):
         points = np.column_stack([start + slope * height, np.full(len(start), height)])
         assert project(scene, points * 1e-3) == pytest.approx(pixels_of(-1).pixels.place + np.array(SIZE) / 2, abs=1e-6)
+
+
+def test_a_light_within_the_gel_stays_below_its_coat(dents):
+    """A light that the fit moves up beside the picture, where the dome has fallen: refused by the renderer, were it drawn there."""
+    chosen = replace(parameters(), gel_half_mm=(10.0, 10.0))
+    chosen.geometry[1, :3] = 8.8, np.pi, -0.5
+    scene = to_scene(chosen, start_scene(), SIZE)
+    z = scene.lights.lights[1].position_mm[2]
+    coat = gel_height(scene.gel, np.array([[-8.8e-3, 0.0]]))[0] * 1e3
+    assert coat - 0.1 < z < coat < -0.5
+    # Beyond the gel it stays where it was.
+    chosen.geometry[1, 0] = 11.0
+    assert to_scene(chosen, start_scene(), SIZE).lights.lights[1].position_mm[2] == -0.5
