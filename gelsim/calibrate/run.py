@@ -297,7 +297,8 @@ def _base(sensor: str | None) -> Scene:
     """Gel, window, camera of the start: a shipped preset's, without its lights and markers."""
     start = build_scene({"sensor": {"preset": sensor if sensor and is_preset(sensor) else "fingertip2017"}})
     # The veil stands for what the window returns; the fit's camera is upright on the axis.
-    camera = replace(start.camera, offset_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0), distortion=(0.0, 0.0), fresnel=False, tone="srgb")
+    upright = replace(start.camera, offset_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0), distortion=(0.0, 0.0), fresnel=False, tone="srgb")
+    camera = replace(upright, rest=None, rest_smooth=())
     return empty_scene(start.gel, camera, replace(start.lights, window_reflection=False))
 
 

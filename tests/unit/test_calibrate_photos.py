@@ -191,3 +191,8 @@ def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
     _, _, states, judged = run._states(job, 0.1, lambda *_: None)
     assert [state.error for state in states] == [5.0, 3.0, 4.0] and min(states, key=lambda each: each.error) is states[1]
     assert judged.tolist() == [2, 6] and fits == [6, 6, 6] and not set(judged) & set(states[1].which)
+
+
+def test_a_start_lends_neither_its_rest_nor_its_lamps():
+    base = run._base("gelsight_mini")
+    assert not base.camera.has_rest and not base.lights.lights and base.camera.tilt_deg == (0.0, 0.0) and base.gel.thickness_mm == 4.25
