@@ -193,6 +193,6 @@ def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
     assert judged.tolist() == [2, 6] and fits == [6, 6, 6] and not set(judged) & set(states[1].which)
 
 
-def test_a_start_lends_neither_its_rest_nor_its_lamps():
+def test_a_start_does_not_lend_its_rest():
     base = run._base("gelsight_mini")
-    assert not base.camera.has_rest and not base.lights.lights and base.camera.tilt_deg == (0.0, 0.0) and base.gel.thickness_mm == 4.25
+    assert not base.camera.has_rest and base.camera.tilt_deg == (0.0, 0.0) and base.gel.thickness_mm == 4.25
