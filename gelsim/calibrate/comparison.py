@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gelsim import optics
 from gelsim.calibrate import drawing, pictures, start
-from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius, solve_family
+from gelsim.calibrate.dent import SHALLOWEST, DentFamily, distinct, effective_radius, solve_family
 from gelsim.calibrate.parameters import PRESS, curvature_of
 from gelsim.calibrate.photos import Photos, read_photos
 from gelsim.calibrate.reading import SUFFIXES, Reader
@@ -155,7 +155,7 @@ def _dents(scene: Scene, photos: Photos) -> DentFamily | None:
     balls = photos.balls_mm[np.isfinite(photos.balls_mm)]
     if len(balls) == 0:
         return None
-    radii = np.unique(np.round(effective_radius(balls, curvature_of(scene.gel)), 6))
+    radii = distinct(effective_radius(balls, curvature_of(scene.gel)))
     return solve_family(scene.gel, radii, scene.gel.thickness_mm, scene.contact)
 
 
@@ -227,7 +227,7 @@ def _membranes(
     at = [np.array([press[name] for name in PRESS]) for press in presses]
     surfaces: dict[int, Membrane] = {}
     if dents is not None:
-        surfaces |= {index: _ball(scene, dents, balls[index], at[index]) for index in np.flatnonzero(np.isfinite(balls))}
+        surfaces |= {int(index): _ball(scene, dents, balls[index], at[index]) for index in np.flatnonzero(np.isfinite(balls))}
     groups: dict[Any, list[int]] = {}
     for index in np.flatnonzero(np.isnan(balls)):
         groups.setdefault((photos.bodies[index], *at[index][:2]), []).append(int(index))

@@ -102,6 +102,11 @@ def effective_radius(ball_mm: Array, curvature: float) -> Array:
     return 1.0 / (1.0 / np.asarray(ball_mm, np.float64) + curvature)
 
 
+def distinct(radii_mm: Array) -> Array:
+    """R' [mm] that differ, in increasing order."""
+    return np.asarray(np.unique(np.round(radii_mm, 6)), np.float64)
+
+
 def nearest_ball(radii_mm: Array, radius_mm: Array) -> NDArray[np.int64]:
     """Number of the solved R' that is nearest, by ratio."""
     return np.searchsorted(np.sqrt(radii_mm[1:] * radii_mm[:-1]), radius_mm)
@@ -152,7 +157,7 @@ def solve_dents(gel: Gel, radii_mm: Array | float, known: bool, progress: Callab
     Args:
         radii_mm: R' of the balls on the start's dome; other R' are reached by scaling.
     """
-    radii = np.unique(np.round(np.atleast_1d(radii_mm), 6))
+    radii = distinct(np.atleast_1d(np.asarray(radii_mm, np.float64)))
     wanted = (gel.thickness_mm,) if known else THICKNESSES
     families: tuple[list[DentFamily], list[DentFamily]] = [], []
     for index, thickness in enumerate(wanted):

@@ -589,7 +589,7 @@ def _dragged(report: dict[str, Any], photos: Photos, test: NDArray[np.int64], pr
     for index, press, picture in zip(test, presses, drawn, strict=True):
         row = report["presses"][index]
         whole = picture_errors(picture, photos.pictures[index], photos.counted)
-        near = _crop(photos.size, [row["col_px"], row["row_px"]])
+        near = _crop(photos.size, np.array([row["col_px"], row["row_px"]]))
         pairs.append((whole, picture_errors(picture[near], photos.pictures[index][near], photos.counted[near])))
         row["dragged"] = {"offset_mm": press[:2], "depth_mm": press[2], "drag_mm": press[3:], "whole": whole}
     return _mean_scores(pairs)
