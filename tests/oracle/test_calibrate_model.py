@@ -173,3 +173,19 @@ def test_a_light_within_the_gel_stays_below_its_coat(dents):
     # Beyond the gel it stays where it was.
     chosen.geometry[1, 0] = 11.0
     assert to_scene(chosen, start_scene(), SIZE).lights.lights[1].position_mm[2] == -0.5
+
+
+def test_presses_of_two_balls_are_those_of_each_alone():
+    """Of each pixel the ball of its own press decides: both presses in one evaluation, and each with its ball for all."""
+    gel, two = Gel(size_mm=(20.0, 20.0)), np.array([2.0, 3.2])
+    both = solve_dents(gel, effective_radius(two, CURVATURE), True)
+    for press in (0, 1):
+        alone = solve_dents(gel, effective_radius(two[press : press + 1], CURVATURE), True)
+        data = pixels_of(press)
+        mixed = Evaluation(parameters(), PRESSES, replace(data, balls_mm=two), both).level
+        own = Evaluation(parameters(), PRESSES, replace(data, balls_mm=two[[press, press]]), alone).level
+        # The row of the tables is counted through the balls: rounding.
+        assert mixed == pytest.approx(own, abs=1e-6)
+        # Planted: the other's ball.
+        other = Evaluation(parameters(), PRESSES, replace(data, balls_mm=two[::-1]), both).level
+        assert np.abs(other - own).max() > 1
