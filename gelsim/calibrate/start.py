@@ -33,6 +33,8 @@ DOT = 20
 """Windows across the picture that a dot takes less than half of."""
 OUTVOTED = 6
 """Photographs that outvote their dents."""
+AGREED = 3
+"""Photographs that make a rest with the one without contact: of fewer, one whose dent was found wrongly would decide."""
 FELT = 2.2
 """Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 BLOCK = 12
@@ -87,7 +89,7 @@ def find_contacts(no_contact: Array, photos: Array, counted: NDArray[np.bool_]) 
 def rest_picture(no_contact: Array, photos: Array, contacts: Array, felt: float) -> Array:
     """The picture without contact, shape (H, W, 3): of each pixel the median of the photographs whose dents are farther from it than `felt`
     times their radius, where there are enough of them; a sensor drifts between its no-contact photograph and the others."""
-    if len(photos) < OUTVOTED:
+    if len(photos) < AGREED:
         return no_contact
     rows, columns = np.mgrid[: no_contact.shape[0], : no_contact.shape[1]] + 0.5
     stack = np.concatenate([no_contact[None], photos])
