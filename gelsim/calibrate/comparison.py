@@ -180,12 +180,17 @@ def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, devic
     variant = optics.choose_variant(device)
     renderer = Renderer(small, variant)
 
+    def pictures_of(membranes: Sequence[Membrane]) -> Array:
+        return np.array([frame.image for frame in optics.render_frames(small, membranes, variant=variant, renderer=renderer)], float)
+
+    # What the press changes, in either: a preset's rest need not be this sensor's.
+    still = pictures_of([rest_membrane(small)])
+
     def drawn(presses: Array) -> Array:
         dented = [_ball(small, dents, ball, press) for ball, press in zip(photos.balls_mm, presses, strict=True)]
-        images = np.array([frame.image for frame in optics.render_frames(small, dented, variant=variant, renderer=renderer)], float)
-        return images * (near & counted)[..., None]
+        return (pictures_of(dented) - still) * (near & counted)[..., None]
 
-    wanted = seen * (near & counted)[..., None]
+    wanted = (seen - rest) * (near & counted)[..., None]
     damping = np.full(len(seen), 1e-2)
     here = drawn(places)
     cost = ((wanted - here) ** 2).sum(axis=(1, 2, 3))
