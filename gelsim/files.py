@@ -1,4 +1,4 @@
-"""A file is whole or not there: it is written under another name beside its own, and renamed at the end. And whether it is the same."""
+"""A file is whole or not there: it is written under another name beside its own, and renamed at the end. Whether it is the same. Caches."""
 
 from __future__ import annotations
 
@@ -25,6 +25,13 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def cache_folder(kind: str) -> Path:
+    """Where files of a kind are kept: in $GELSIM_CACHE, or the user's cache folder; never inside the repository."""
+    from platformdirs import user_cache_dir
+
+    return Path(os.environ.get("GELSIM_CACHE") or user_cache_dir("gelsim")) / kind
 
 
 def digest(path: Path) -> str:

@@ -5,8 +5,8 @@
 
 A soft hemisphere of unknown modulus is pressed into a gel that is known. Its force-depth curve is made by the simulator, on the same mesh
 (so the fit is tested, not the mechanics), and 2 % of noise is put on every force. Each round presses once with the modulus guessed so far,
-gets ∂F/∂ln E of every state from the adjoint, and solves the linear least-squares problem for ln E; weights are the noise's. The spread of
-the estimate is that of the linearised problem, 1/√(Σ (∂F/∂ln E / σ)²). How well a curve says a modulus at all is in the same numbers:
+gets ∂F/∂ln E of every state with it, and solves the linear least-squares problem for ln E; weights are the noise's. The spread of the
+estimate is that of the linearised problem, 1/√(Σ (∂F/∂ln E / σ)²). How well a curve says a modulus at all is in the same numbers:
 ∂ln F/∂ln E is one where all of the give is the object's, and falls to zero for an object much stiffer than the gel.
 """
 

@@ -144,9 +144,9 @@ def _video(advice: list[str]) -> str:
 
 
 def _cache() -> dict[str, Any]:
-    from gelsim.mesh.body_mesh import cache_folder
+    from gelsim.files import cache_folder
 
-    folder = cache_folder()
+    folder = cache_folder("meshes")
     nearest = next(path for path in (folder, *folder.parents) if path.exists())
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if folder.exists() else 0
     return {"folder": str(folder), "writable": os.access(nearest, os.W_OK), "megabytes": round(size / 1e6, 1)}

@@ -65,13 +65,10 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    Other tries go on from where the one before it stands, most of them not for long: with a little friction (`NUDGE`), where a smooth soft
-    object slides without any; with contact's points on the other surface, where friction holds a soft object or a smooth one may slide (a
-    ring, a block with waves and one that slides begin with their own); then with twice the contact points, volume held at points too, and
-    what sticks sliding at friction `STICK`. Where that does not get there, such a try begins at rest; where both surfaces' points may do
-    so, each of them goes on from the other once more in between. The last try, where friction was less, has `GRIP`. Its info says so. More
-    points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps
-    crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    The second try goes on from where the first stands, with twice the contact points, volume held at points too, and what sticks sliding at
+    friction `STICK`; where that does not get there soon, the third begins so at rest. The last, where friction was less, has `GRIP`. Its
+    info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held
+    at points keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -87,7 +84,7 @@ def solve_press(
     from gelsim.fem.strategy import tries
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    marching = tries(scene, gel.symmetry, enough)
+    marching = tries(scene, enough)
     way, course = next(marching)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
@@ -123,7 +120,6 @@ def _problem(
         part_materials=of_object[1:],
         contact_points=way.contact_points,
         held=way.held,
-        on_object=way.on_object,
         patient=(way.held > 0.0 and not way.goes_on) if patient is None else patient,
         **made,
     )
@@ -161,7 +157,7 @@ def solve_batch(
     from gelsim.fem.strategy import tries
 
     done: dict[int, Deformation] = {}
-    marching = [tries(scene, gel.symmetry) for scene, gel, *_ in bodies]
+    marching = [tries(scene) for scene, *_ in bodies]
     asked = {number: next(one) for number, one in enumerate(marching)}
     while asked:
         groups: dict[Try, dict[int, tuple[Try, Course]]] = {}
@@ -215,7 +211,7 @@ def differentiate_press(
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     from gelsim.fem.strategy import ways
 
-    alone = replace(ways(scene, gel.symmetry)[0], most_wasted=None)  # there is no other to go on from it
+    alone = replace(ways(scene)[0], most_wasted=None)  # there is no other to go on from it
     problem = _problem(alone, scene, gel, body, placement, "cpu", patient=True)
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
 

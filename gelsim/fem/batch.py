@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 from gelsim.errors import SolveStatus
 from gelsim.fem.assembly import Solids
 from gelsim.fem.batch_kernels import LANES, balance, largest, move, positions, stiffen, work
-from gelsim.fem.contact import FROZEN, OVERHANG, SurfaceContact
+from gelsim.fem.contact import SurfaceContact
 from gelsim.fem.krylov import BatchedGmres, add_lanes, multiply
 from gelsim.fem.linear import SHIFTS, BatchedSystem, single_threaded_blas
 from gelsim.fem.newton import (
-    FREEZE_AFTER,
     GEOMETRIC_BELOW,
     LARGEST_GROWTH,
     LINE_SEARCH_DROP,
@@ -48,6 +47,8 @@ FORCING = 0.1
 """|R + K step|/|R| to which a step is solved; a scene whose factor does not bring it there in time gets a new one for its next step."""
 EXACT = 1e-6
 """… where rough steps did not help."""
+SETTLED_AFTER = 6
+"""Iterations with rough steps."""
 POOR = 0.5
 """… above which the step is not taken but solved anew at once."""
 REACH_MM = 2.0
@@ -247,8 +248,6 @@ class _Batch:
     def residual(self, fraction: Array | None = None) -> _Residual:
         """Contact and equations of all scenes at their present states, or at a fraction of each one's step."""
         with self._stage("residual"):
-            freeze = (self.iteration >= FREEZE_AFTER) | (self.limit == 0)
-            self._send(self.contact.overhang, np.where(freeze, FROZEN, OVERHANG))
             if fraction is None:
                 self._replay("residual", self._residual)
             else:
@@ -263,7 +262,7 @@ class _Batch:
         wp.launch(positions, solids.node_count, [solids.rest_positions, solids.displacement, self.x], device=device)
         for array in (self.internal, self.external, self.volume):
             array.zero_()
-        self.contact.find(self.x, REACH_MM)
+        self.contact.update(self.x, REACH_MM)
         self.contact.add_force(self.x, self.external)
         solids.add_internal_force(self.internal, self.volume)
         forces = [self.internal, self.external, self.volume, self.vertex_volume, self.equation, self.nodes]
@@ -293,7 +292,7 @@ class _Batch:
         """One Newton iteration of the active scenes: steps by GMRES on the factors there are, by new ones where those are too old."""
         self._assemble(residual.imbalance < GEOMETRIC_BELOW)
         # a scene that does not get there soon goes on with steps of its own factors, solved to the end
-        self.old |= self.iteration >= FREEZE_AFTER
+        self.old |= self.iteration >= SETTLED_AFTER
         self._factorise(active & (self.old | ~self.system.factored))
         self._convexify(active & (self.iteration >= self.exact_after))
         poor = self._solve(active)
@@ -359,7 +358,7 @@ class _Batch:
 
     def _solve(self, wanted: Mask) -> Mask:
         """Steps of the wanted scenes; returns those whose factors were of no use."""
-        forcing = np.where(self.iteration < FREEZE_AFTER, FORCING, EXACT)
+        forcing = np.where(self.iteration < SETTLED_AFTER, FORCING, EXACT)
         with self._stage("solve"):
             used, left = self.gmres.solve(self._product, self.system.solve, self.equations, self.step, wanted, forcing)
         if self.costs is not None:
@@ -368,9 +367,9 @@ class _Batch:
         return wanted & ~(left <= POOR)
 
     def _product(self, v: wp.array, out: wp.array) -> None:
-        """The whole tangents' products with v, slipping friction's unsymmetric part included."""
+        """The whole tangents' products with v, contact's unsymmetric part included."""
         self._multiply(v, out)
-        self.contact.add_slip_product(self.equation, v, out)
+        self.contact.add_remainder(self.x, self.equation, v, out)
 
     def _multiply(self, v: wp.array, out: wp.array) -> None:
         out.zero_()
@@ -416,7 +415,7 @@ class _Batch:
 
     def _line_search(self, active: Mask, before: _Residual) -> _Residual:
         """newton.Newton._line_search, scene by scene: each is moved to where the work of the unbalanced forces has shrunk."""
-        largest_size = np.where(self.iteration >= FREEZE_AFTER, LARGEST_GROWTH * before.size, np.inf)
+        largest_size = np.where(self.iteration >= SETTLED_AFTER, LARGEST_GROWTH * before.size, np.inf)
         self._start_search()
         searching, fraction = active.copy(), active.astype(float)
         low, high = np.zeros(self.count), np.full(self.count, np.nan)

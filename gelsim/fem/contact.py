@@ -1,28 +1,24 @@
 """Contact of the gel's outer surface with the object's surface: gap, pressure, friction, and their tangents.
 
-Point to surface: each quadrature point x of one surface's six-node faces (the slave's) looks for the closest point y(ξ) on the other's (the
-master's), which are curved, so a sphere has no facets. With n the master's outward normal there, the gap is g = n·(x - y). The contact
-potential is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
+Each quadrature point x of the gel's six-node faces (the slave's) looks along the outward normal of its own face for the object's (the
+master's) curved faces, so a sphere has no facets, and meets them at y(ξ). With n that normal turned round, the gap is g = n·(x - y). n is
+a function of the point's own face: unlike the normal of a closest place it jumps nowhere, and g is continuous over kinks and ridges of
+the object. (A line that leaves the object's outline loses it, and what the point carried; where the gel wraps a rim it meets the flank.)
+Pressure is a C² penalty per rest area of the slave, shifted by a multiplier λ (augmented Lagrangian, Simo and Laursen 1992):
 
-    φ = 0 (s ≤ 0),  k s³/(6ε) (0 < s < ε),  k (s²/2 - εs/2 + ε²/6) (s ≥ ε),       s = λ/k - g,  p = ∂φ/∂s.
+    p = 0 (s ≤ 0),  k s²/(2ε) (0 < s < ε),  k (s - ε/2) (s ≥ ε),       s = λ/k - g.
 
-k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere exactly, do not turn their sub-micrometre
-misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's faces, then carries the load, so that little
-overlap is left. The Hessian holds the normal part p' ∇g ∇gᵀ as well as the change of n and ξ with both bodies (Wriggers 2006, §9; there at
-g ≈ 0):
+It acts along n, on x and against it on y. k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere
+exactly, do not turn their sub-micrometre misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's
+faces, then carries the load, so that little overlap is left. Derivatives, with ν the master's normal at y, a_α the slave's tangents and
+a^α their duals:
 
-    D²g = -T^α N_αᵀ - N_α T^αᵀ - b_αβ T^α T^βᵀ,   T^α·δ = a^α·(δx - δy),  N_α·δ = n·δy,α,  b_αβ = n·y,αβ .
+    δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
-Friction is Coulomb's, in the same way (Simo and Laursen 1992): with e the tangential slip of a point since the last load step (against the
-place on the master that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it
-exceeds that. p in μp is that of the current iterate in the residual; the assembled tangent holds p constant there, which keeps it
-symmetric, and `slip_coupling` is the unsymmetric rest, of low rank. Far from equilibrium the slipping tangent is replaced by its secant,
-which resists a reversal of the slip as well.
-
-Who is which: the master's normals should turn little from face to face. Over an object's sharp tip, whose flanks face away from each
-other, the gel's points find one flank or the other and forces jump; the tip's points on the gel's faces have one normal. And there should
-be many points on each of the master's faces, which warp between them: where nothing else holds a tip, it slides. Else the gel's points are
-the better ones, as they know where contact ends on the surface that the camera sees (`fem.strategy.ways` chooses).
+Friction is Coulomb's, in the same way: with e the tangential slip of a point since the last load step (against the place on the master
+that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. Assembled
+is the symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric. Far from equilibrium that is
+left out, and the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
 
 A rigid object is no surface but a distance (`RigidContact`, field.py). Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""
@@ -30,7 +26,7 @@ A rigid object is no surface but a distance (`RigidContact`, field.py). Left out
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,18 +36,18 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU, splu
 
-from gelsim.fem import contact_kernels
 from gelsim.fem.assembly import join_arrays
 from gelsim.fem.contact_kernels import (
     Layout,
-    closest_points,
+    add_remainder,
     contact_force,
     contact_tangent,
     field_gaps,
     friction_force,
     friction_tangent,
+    gap_changes,
     place_points,
-    slip_product,
+    surface_gaps,
     vec6d,
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
@@ -61,8 +57,6 @@ from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]
 
-OVERHANG = float(contact_kernels.OVERHANG)
-FROZEN = 1e3  # the same, where points keep their faces
 LOOKED_MM = 1.0  # distance within which every search for the other surface looks at least
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
@@ -115,36 +109,30 @@ def rest_weights(rest: Array, faces: NDArray[np.int32], points: int) -> Array:
     return np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1) * rule
 
 
-def _area_stretch(rest: Array, now: Array, faces: NDArray[np.int32], bary: Array) -> Array:
-    """Area over rest area of six-node faces (K, 6), each at a place of its own (K, 3)."""
-    gradient = tri6_gradient(bary)
-    tangents = (np.einsum("kni,kna->kia", positions[faces], gradient) for positions in (now, rest))
-    area, before = (np.linalg.norm(np.cross(both[..., 0], both[..., 1]), axis=-1) for both in tangents)
-    return area / before
-
-
-def _border_sides(rest: Array, faces: NDArray[np.int32], symmetry: frozenset[str]) -> NDArray[np.int32]:
-    """Of each face the bits (`contact_kernels.on_sides`) of the sides that no other face has and that lie on no mirror plane."""
+def _beside(rest: Array, faces: NDArray[np.int32], symmetry: frozenset[str]) -> NDArray[np.int32]:
+    """Of each face the neighbours across its three sides (F, 3); -1 where the surface ends, -2 at a mirror plane."""
     middle = faces[:, 3:]
-    alone = np.bincount(middle.ravel(), minlength=len(rest))[middle] == 1
+    found = np.full(middle.shape, -1, np.int32)
+    order = np.argsort(middle.ravel(), kind="stable")
+    sides = middle.ravel()[order]
+    pairs = np.flatnonzero(sides[1:] == sides[:-1])
+    one, two = order[pairs], order[pairs + 1]
+    found.ravel()[one], found.ravel()[two] = two // 3, one // 3
     for axis in symmetry:
-        alone &= np.abs(rest[middle, "xy".index(axis)]) > 1e-9
-    return (alone @ np.array([1, 2, 4])).astype(np.int32)
+        plane = (found == -1) & (np.abs(rest[middle, "xy".index(axis)]) < 1e-9)
+        found[plane] = -2
+    return found
 
 
 class SurfaceContact:
-    """The slave's faces against the master's, with the state of the current iterate. Positions are given in mm.
-
-    With `ends` the master ends at its border (but for mirror planes): a point beside it touches nothing, however deep. An object's surface
-    goes on around its rim, the gel's is a part of it.
-    """
+    """The slave's faces against the master's, with the state of the current iterate. Positions are given in mm."""
 
     CORNERS = 3
     """Vertices of a face; its other nodes are in the middle of its sides."""
     STATE = _STATE
 
     def __init__(self, slave_faces: NDArray[np.int32], master_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
-                 points: int = 6, symmetry: frozenset[str] = frozenset(), ends: bool = False) -> None:  # fmt: skip
+                 points: int = 6, symmetry: frozenset[str] = frozenset()) -> None:  # fmt: skip
         self.law, self.device, self.points = law, device, points
         self.slave_faces, self.master_faces = slave_faces, master_faces
         bary = triangle_quadrature(points)[0]
@@ -158,10 +146,10 @@ class SurfaceContact:
 
         self.slave = array(slave_faces, wp.int32)
         self.master = array(master_faces, wp.int32)
-        self.ends = array(_border_sides(rest, master_faces, symmetry) if ends else np.zeros(len(master_faces)), wp.int32)
         self.shape = array(self.shape_values, vec6d)
         self.own = array(bary[:, 1:], wp.vec2d)
         self.weight = array(self.rest_weight, wp.float64)
+        self.beside = array(_beside(rest, master_faces, symmetry), wp.int32)
         self.corners = array(_SUB_CORNERS, wp.vec2d)
         self.scenes, self.nodes = 1, len(rest)
         self._tree: wp.Mesh | None = None  # grown at first use, where the bodies are: refitting keeps its order
@@ -202,7 +190,6 @@ class SurfaceContact:
         """What the kernels take once a scene, and how they find their scene."""
         self.layout = Layout()
         self.layout.points, self.layout.faces, self.layout.nodes = self.points, len(self.slave_faces), self.nodes
-        self.overhang = wp.full(self.scenes, OVERHANG, dtype=wp.float64, device=self.device)
         self.geometric = wp.zeros(self.scenes, dtype=wp.float64, device=self.device)
         self.friction = wp.full(self.scenes, self.law.friction, dtype=wp.float64, device=self.device)
 
@@ -248,25 +235,16 @@ class SurfaceContact:
         """One thread a quadrature point; every kernel begins with the slave's faces and their shape functions."""
         wp.launch(kernel, len(self.weight), [self.slave, self.shape, self.layout, *inputs], device=self.device)
 
-    def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
-        """Closest points and gaps of all quadrature points within `reach` [mm] for positions x.
-
-        `freeze` keeps every near point on the (extended) face that it lies on: on both sides of a sharp edge points could change flank for
-        ever. A point beside its face, at a rim, touches nothing and is sought anew.
-        """
-        self.overhang.fill_(FROZEN if freeze else OVERHANG)
-        self.find(x, reach)
-
-    def find(self, x: wp.array, reach: float) -> None:
-        """`update` with the overhang that stands."""
+    def update(self, x: wp.array, reach: float) -> None:
+        """Places, normals and gaps of all quadrature points within `reach` [mm] for positions x."""
         used, triangles, points = self._corners
         wp.launch(place_points, len(points), [x, used, self.nodes, points], device=self.device)
         if self._tree is None:
             self._tree = wp.Mesh(points=points, indices=triangles)
         else:
             self._tree.refit()
-        pairing = [self.overhang, self.face, self.place, self.normal, self.gap]
-        self._launch(closest_points, x, self._tree.id, self.master, self.corners, self.ends, reach, self.own, *pairing)
+        pairing = [self.face, self.place, self.normal, self.gap]
+        self._launch(surface_gaps, x, self.own, self._tree.id, self.master, self.corners, self.beside, reach, *pairing)
 
     def _normal_inputs(self) -> list[object]:
         """What the kernels of normal contact share."""
@@ -301,32 +279,42 @@ class SurfaceContact:
         if self.frictional:
             self._launch(friction_tangent, x, *self._friction_inputs(), self.geometric, pattern, values, self.missing)
 
-    def slip_coupling(self, equation: NDArray[np.int32], unknowns: int) -> tuple[sp.csr_matrix, sp.csr_matrix] | None:
-        """The part of the tangent by which pressure drives slipping friction, ∂(μp)/∂u, as factors (B_t, B_n) of B_tᵀ B_n.
+    def remainder(self, x: wp.array, equation: wp.array, unknowns: int) -> Callable[[Array], Array] | None:
+        """What the last `add_tangent` left out, as its product with a vector of unknowns; None where that is nothing."""
+        if self.layout.rigid and not self.frictional:
+            return None
+        out = wp.zeros(unknowns, dtype=wp.float64, device=self.device)
 
-        None where no point slips. Uses the state of the last `add_force`.
+        def product(v: Array) -> Array:
+            out.zero_()
+            self.add_remainder(x, equation, wp.array(v, dtype=wp.float64, device=self.device), out)
+            return np.array(out.numpy(), np.float64)
+
+        return product
+
+    def add_remainder(self, x: wp.array, equation: wp.array, v: wp.array, out: wp.array) -> None:
+        """Adds `remainder` of v to `out`, where `geometric` stands."""
+        pairing = [self.weight, self.master, self.face, self.place, self.normal, self.gap, self.multiplier, self.stiffness]
+        friction = [self.frictional, self.anchor_face, self.anchor_place, self.shift, self.friction, self.stick]
+        self._launch(add_remainder, x, self.own, *pairing, self.law.smoothing, self.bend, *friction, self.geometric, equation, v, out)
+
+    def gap_changes(self, x: wp.array, equation: wp.array) -> Callable[[Array], Array]:
+        """The derivative of all points' gaps, as its product with a vector of unknowns; 0 where a point meets nothing.
+
+        Along the lines of a soft object's contact it is not the force's direction (`force_direction`).
         """
-        law = self.law
-        if law.friction <= 0.0:
-            return None
-        pressure, traction = self.pressure.numpy(), self.traction.numpy()
-        size = np.linalg.norm(traction, axis=1)
-        slipping = np.flatnonzero((pressure > 0) & (size > 0) & (size >= law.friction * pressure * (1 - 1e-9)))
-        if len(slipping) == 0:
-            return None
-        face, k = self.face.numpy()[slipping], self.stiffness.numpy()[slipping // self.points]
-        s = self.multiplier.numpy()[slipping] / k - self.gap.numpy()[slipping]
-        slope = k * np.clip(s / law.smoothing, 0.0, 1.0)
-        direction = -traction[slipping] / size[slipping, None]
-        normal = self.normal.numpy()[slipping]
-        places = self.anchor_face.numpy()[slipping], self.anchor_place.numpy()[slipping]
-        along = self._relative_motion(slipping, direction, *places, equation, unknowns)
-        weight = self.rest_weight[slipping] * law.friction * slope
-        closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.place.numpy()[slipping], equation, unknowns)
-        return along, closing
+        out = wp.zeros(len(self.weight), dtype=wp.float64, device=self.device)
+        pairing = [self.master, self.face, self.place, self.normal, self.gap]
 
-    def gap_gradient(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
-        """∂g of paired points with respect to the unknowns, (P, unknowns): the foot lies along n, so its place does not count."""
+        def product(v: Array) -> Array:
+            along = wp.array(v, dtype=wp.float64, device=self.device)
+            self._launch(gap_changes, x, self.own, *pairing, self.bend, equation, along, out)
+            return np.array(out.numpy(), np.float64)
+
+        return product
+
+    def force_direction(self, points: NDArray[np.integer], equation: NDArray[np.int32], unknowns: int) -> sp.csr_matrix:
+        """Matrix (P, unknowns) of paired points, the negative of which, transposed, takes their forces to nodal ones."""
         face, place, normal = self.face.numpy()[points], self.place.numpy()[points], self.normal.numpy()[points]
         return self._relative_motion(points, normal, face, place, equation, unknowns)
 
@@ -340,12 +328,6 @@ class SurfaceContact:
         free = columns >= 0
         index = np.broadcast_to(np.arange(len(points))[:, None, None], columns.shape)
         return sp.csr_matrix((values[free], (index[free], columns[free])), shape=(len(points), unknowns))
-
-    def add_slip_product(self, equation: wp.array, v: wp.array, out: wp.array) -> None:
-        """Adds the product of the matrix that `slip_coupling` gives as factors with v to `out`, where `geometric` stands."""
-        if self.frictional:
-            slipping = [self.pressure, self.traction, self.anchor_face, self.anchor_place, self.friction, self.geometric]
-            self._launch(slip_product, *self._normal_inputs(), *slipping, equation, v, out)
 
     def slip(self, x: wp.array) -> Array:
         """Tangential slip [mm] of every point since the load step began, against the place on the master that it touched then, (P, 3).
@@ -444,28 +426,11 @@ class SurfaceContact:
         self.kept = np.zeros_like(self.kept)
         self.set_multipliers(np.zeros_like(self.multipliers))
 
-    def inherit(self, before: SurfaceContact, rest: Array, x: wp.array, reach: float) -> None:
-        """Goes on from what `before`, of the same two surfaces, had settled at positions x: its tractions, and no slip since.
-
-        Where the other surface was the slave, a point has the opposite traction of the place that it touches; both are per rest area of
-        their own surface, so it grows by what that has been stretched the more.
-        """
+    def inherit(self, before: SurfaceContact, x: wp.array, reach: float) -> None:
+        """Goes on from what `before`, of the same two surfaces, had settled at positions x: its tractions, and no slip since."""
         self.forget()
         self.update(x, reach)
-        if np.array_equal(self.slave_faces, before.slave_faces):
-            self.set_multipliers(before.multipliers)
-        else:
-            now, face = x.numpy(), self.face.numpy()
-            points = np.flatnonzero(face >= 0)
-            xi, face = self.place.numpy()[points, :2], face[points]
-            bary = np.maximum(np.column_stack([1 - xi.sum(1), xi]), 0.0)  # a point may lie a little beside its face
-            bary /= bary.sum(1, keepdims=True)
-            own, there = self.slave_faces[points // self.points], self.master_faces[face]
-            stretch = _area_stretch(rest, now, own, self._bary[points % self.points]) / _area_stretch(rest, now, there, bary)
-            given = np.einsum("pa,pac->pc", bary, before.multipliers[before._corner[face]]) * stretch[:, None]
-            tractions = np.zeros((len(self.weight), 4))
-            tractions[points] = given * [1, -1, -1, -1]
-            self._project(tractions if self.frictional else tractions[:, :1])
+        self.set_multipliers(before.multipliers)
         self.anchor_face.assign(self.face)
         self.anchor_place.assign(self.place)
 
@@ -521,7 +486,7 @@ class RigidContact(SurfaceContact):
     def _master_shape(self, place: Array) -> Array:
         return body_shares(place)
 
-    def find(self, x: wp.array, reach: float) -> None:
+    def update(self, x: wp.array, reach: float) -> None:
         """Gaps of all points that lie on the field's grid, whatever `reach`."""
         pairing = [self.face, self.place, self.normal, self.gap, self.bend]
         self._launch(field_gaps, x, self.master, self.field, wp.float64(self.SIDE), *pairing)

@@ -1,4 +1,4 @@
-"""Warp kernels of contact: closest points on six-node faces, penalty and friction tractions, their tangents (equations: contact.py).
+"""Warp kernels of contact: where lines meet six-node faces, penalty and friction tractions, their tangents (equations: contact.py).
 
 One launch serves any number of scenes with the same faces: points and nodes of one scene after those of the other (`Layout`), faces and
 their numbers the scene's own.
@@ -12,9 +12,6 @@ from gelsim.fem.field import FieldGrid, read_field
 from gelsim.fem.pattern import PairPattern, add_block, pair_offset
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
-
-# Cosine between outward normals above which surfaces do not face each other.
-FACING = wp.constant(wp.float64(-0.1))
 
 # Least slope that counts as one: where flanks face each other a distance's is 0 halfway between them.
 FLATTEST = wp.constant(wp.float64(0.2))
@@ -38,13 +35,6 @@ class Layout:
 
 # Scenes are queried in one tree of triangles, this far from each other [mm].
 SPACING = wp.constant(200.0)
-
-# Of a face's side: how far beside its face a point may lie before it changes to the neighbour.
-OVERHANG = wp.constant(wp.float64(0.1))
-
-# Within which a point keeps its face [mm]; where points keep it for ever, soft penalties of high pressures leave gaps of tenths.
-NEAR = wp.constant(wp.float64(0.1))
-FROZEN_NEAR = wp.constant(wp.float64(1.0))
 
 
 @wp.func
@@ -128,34 +118,9 @@ def on_face(x: wp.array(dtype=wp.vec3d), base: wp.int32, faces: wp.array2d(dtype
 
 
 @wp.func
-def clamp_to_face(xi: wp.vec2d) -> wp.vec2d:
-    zero = wp.float64(0.0)
-    one = wp.float64(1.0)
-    b = wp.max(xi[0], zero)
-    c = wp.max(xi[1], zero)
-    if b + c > one:
-        shift = wp.float64(0.5) * (b + c - one)
-        b = wp.clamp(b - shift, zero, one)
-        c = one - b
-        if c > one:
-            c = one
-    return wp.vec2d(b, c)
-
-
-@wp.func
 def within_face(xi: wp.vec2d) -> wp.float64:
-    """How far inside its face's border a place lies (in ξ); exactly 0 where `clamp_to_face` put it on the border."""
+    """How far inside its face's border a place lies (in ξ)."""
     return wp.min(wp.min(xi[0], xi[1]), wp.float64(1.0) - xi[0] - xi[1])
-
-
-@wp.func
-def on_sides(xi: wp.vec2d, sides: wp.int32) -> wp.bool:
-    """Whether a place that `clamp_to_face` put on the border lies on one of some sides: bits 1, 2, 4 for those from corner 0, 1, 2 on."""
-    zero = wp.float64(0.0)
-    first = (sides & 1) != 0 and xi[1] == zero
-    second = (sides & 2) != 0 and wp.float64(1.0) - xi[0] - xi[1] == zero
-    third = (sides & 4) != 0 and xi[0] == zero
-    return first or second or third
 
 
 @wp.func
@@ -176,87 +141,126 @@ def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     return k
 
 
+# Behind a point, along its line, from where the other surface is sought [mm]: the overlaps of Newton's guesses are smaller.
+BEHIND = wp.constant(wp.float64(0.3))
+
+# Within which a point begins at the face that it met before [mm].
+NEAR = wp.constant(wp.float64(0.1))
+
+# Cosine between a line and a surface's normal below which they do not meet: beyond, the surface's outline begins.
+GRAZING = wp.constant(wp.float64(0.02))
+
+# Beyond a mirror plane, in ξ, where a face still counts: a point beside the plane may look across it.
+ACROSS = wp.constant(wp.float64(0.1))
+
+
+@wp.struct
+class Met:
+    """Where a line meets a surface: `face` -1 if it does not; ξ there; how far along the line [mm]."""
+
+    face: wp.int32
+    xi: wp.vec2d
+    gap: wp.float64
+
+
 @wp.func
-def step_to_foot(position: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32, faces: wp.array2d(dtype=wp.int32), f: wp.int32,
-                 xi: wp.vec2d) -> wp.vec2d:  # fmt: skip
-    """One Gauss-Newton step of |x - y(ξ)|²."""
+def step_along(position: wp.vec3d, line: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32, faces: wp.array2d(dtype=wp.int32),
+               f: wp.int32, xi: wp.vec2d) -> wp.vec2d:  # fmt: skip
+    """One Newton step to where the line meets a face; far outside of it where the two are parallel."""
     y1 = on_face(x, base, faces, f, tri6_d1(xi))
     y2 = on_face(x, base, faces, f, tri6_d2(xi))
     r = position - on_face(x, base, faces, f, tri6(xi))
-    a11 = wp.dot(y1, y1)
-    a12 = wp.dot(y1, y2)
-    a22 = wp.dot(y2, y2)
-    g1 = wp.dot(r, y1)
-    g2 = wp.dot(r, y2)
-    det = a11 * a22 - a12 * a12
-    return xi + wp.vec2d((a22 * g1 - a12 * g2) / det, (a11 * g2 - a12 * g1) / det)
+    det = wp.dot(line, wp.cross(y1, y2))
+    if wp.abs(det) < wp.float64(1.0e-4) * wp.length(y1) * wp.length(y2):
+        return wp.vec2d(wp.float64(9.0), wp.float64(9.0))
+    step = wp.vec2d(wp.dot(line, wp.cross(r, y2)) / det, wp.dot(line, wp.cross(y1, r)) / det)  # Cramer's rule
+    longest = wp.max(wp.abs(step[0]), wp.abs(step[1]))
+    return xi + wp.min(wp.float64(1.0), wp.float64(0.7) / wp.max(longest, wp.float64(0.1))) * step
+
+
+@wp.func
+def meet(position: wp.vec3d, line: wp.vec3d, x: wp.array(dtype=wp.vec3d), base: wp.int32, faces: wp.array2d(dtype=wp.int32),
+         beside: wp.array2d(dtype=wp.int32), start: wp.int32, at: wp.vec2d) -> Met:  # fmt: skip
+    """Where a line meets the surface, sought from a place on it and on over the faces beside it."""
+    found = Met()
+    found.face = -1
+    f = start
+    xi = at
+    for _face in range(8):
+        for _step in range(8):
+            before = xi
+            xi = step_along(position, line, x, base, faces, f, xi)
+            if wp.length_sq(xi - before) < wp.float64(1.0e-20):
+                break
+        if not (wp.abs(xi[0]) < wp.float64(4.0) and wp.abs(xi[1]) < wp.float64(4.0)):
+            return found
+        inside = within_face(xi)
+        other = int(-2)
+        if inside < wp.float64(-1.0e-9):
+            side = int(0)
+            if xi[1] > wp.float64(1.0) - xi[0] - xi[1]:
+                side = 1
+            if xi[0] < wp.min(xi[1], wp.float64(1.0) - xi[0] - xi[1]):
+                side = 2
+            other = beside[f, side]
+            if other == -1 or (other == -2 and inside < -ACROSS):
+                return found
+        if other < 0:
+            outward = wp.normalize(wp.cross(on_face(x, base, faces, f, tri6_d1(xi)), on_face(x, base, faces, f, tri6_d2(xi))))
+            if wp.dot(line, outward) < -GRAZING:
+                found.face = f
+                found.xi = xi
+                found.gap = wp.dot(line, on_face(x, base, faces, f, tri6(xi)) - position)
+            return found
+        f = other
+        xi = wp.vec2d(wp.float64(1.0) / wp.float64(3.0), wp.float64(1.0) / wp.float64(3.0))
+    return found
 
 
 @wp.kernel(enable_backward=False)
-def closest_points(
+def surface_gaps(
     slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
-    mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d), ends: wp.array(dtype=wp.int32),
-    reach: wp.float32, points: wp.array(dtype=wp.vec2d),
-    overhang: wp.array(dtype=wp.float64), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec2d), mesh: wp.uint64, master: wp.array2d(dtype=wp.int32), corners: wp.array2d(dtype=wp.vec2d),
+    beside: wp.array2d(dtype=wp.int32), reach: wp.float32, face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
 ):  # fmt: skip
-    """Closest points; a point near contact keeps its face while it lies within it or no more than `overhang` (in ξ) beside it.
-
-    Neighbouring faces meet at a slight kink: without that hysteresis a point at their common edge would change sides, and Newton cycle.
-    A point whose place is on the border lies beside its face, most often beside a rim, and is not frozen to it: a curved face goes on
-    beyond its rim as a parabola that may cut into the gel tenths of a millimetre deep. Beside a side in `ends` there is no surface
-    any more.
-    """
+    """Gaps to the other surface along the own one's normals, within `reach`; `normal` points at the own surface."""
     i = wp.tid()
     base = scene_of(layout, i) * layout.nodes
-    position = on_face(x, base, slave, slave_face(layout, i), shape[i % layout.points])
-    f = face[i]
-    xi = flat(place[i])
-    kept = bool(False)
-    near = NEAR
-    allowed = OVERHANG
-    if overhang[scene_of(layout, i)] > OVERHANG and within_face(xi) != wp.float64(0.0):
-        near = FROZEN_NEAR
-        allowed = overhang[scene_of(layout, i)]
-    if f >= 0 and wp.abs(gap[i]) < near:
-        for _ in range(6):
-            xi = step_to_foot(position, x, base, master, f, xi)
-        if within_face(xi) > -allowed:
-            kept = wp.length(position - on_face(x, base, master, f, tri6(xi))) < near
-    clamped = bool(False)
-    if not kept:
-        query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(position) + apart(scene_of(layout, i)), reach)
-        face[i] = -1
-        gap[i] = wp.float64(1.0e9)
-        if not query.result:
-            return
-        f = (query.face // 4) % master.shape[0]
-        sub = query.face % 4
-        u = wp.float64(query.u)
-        v = wp.float64(query.v)
-        xi = u * corners[sub, 0] + v * corners[sub, 1] + (wp.float64(1.0) - u - v) * corners[sub, 2]
-        for _ in range(6):
-            free = step_to_foot(position, x, base, master, f, xi)
-            xi = clamp_to_face(free)
-            clamped = wp.length_sq(free - xi) > wp.float64(1.0e-12)
-        if clamped and on_sides(xi, ends[f]):
-            return
-    n = wp.normalize(wp.cross(on_face(x, base, master, f, tri6_d1(xi)), on_face(x, base, master, f, tri6_d2(xi))))
-    r = position - on_face(x, base, master, f, tri6(xi))
-    d = wp.length(r)
-    g = wp.dot(r, n)
-    # beside a sharp edge the closest point is the edge itself: a point that lies sideways of the face is outside, not under it; and at an
-    # acute corner it is a flank's, behind which the point lies though the surfaces do not face each other
-    if g < wp.float64(0.0):
-        own = slave_face(layout, i)
-        at = points[i % layout.points]
-        facing = wp.dot(n, wp.normalize(wp.cross(on_face(x, base, slave, own, tri6_d1(at)), on_face(x, base, slave, own, tri6_d2(at)))))
-        if facing > FACING or (clamped and -g < wp.float64(0.7) * d):
-            g = d
-    face[i] = f
-    place[i] = wp.vec3d(xi[0], xi[1], wp.float64(0.0))
-    normal[i] = n
-    gap[i] = g
+    own = slave_face(layout, i)
+    at = points[i % layout.points]
+    position = on_face(x, base, slave, own, shape[i % layout.points])
+    line = wp.normalize(wp.cross(on_face(x, base, slave, own, tri6_d1(at)), on_face(x, base, slave, own, tri6_d2(at))))
+    met = Met()
+    met.face = -1
+    if face[i] >= 0 and wp.abs(gap[i]) < NEAR:
+        met = meet(position, line, x, base, master, beside, face[i], flat(place[i]))
+        if wp.abs(met.gap) > NEAR:
+            met.face = -1
+    if met.face < 0:
+        start = wp.vec3f(position - BEHIND * line) + apart(scene_of(layout, i))
+        ahead = wp.vec3f(line)
+        left = float(BEHIND) + reach
+        for _hit in range(4):
+            hit = wp.mesh_query_ray(mesh, start, ahead, left)
+            if not hit.result:
+                break
+            if hit.sign > 0.0:
+                part = hit.face % 4
+                u = wp.float64(hit.u)
+                v = wp.float64(hit.v)
+                xi = u * corners[part, 0] + v * corners[part, 1] + (wp.float64(1.0) - u - v) * corners[part, 2]
+                met = meet(position, line, x, base, master, beside, (hit.face // 4) % master.shape[0], xi)
+                if met.face >= 0:
+                    break
+            start += (hit.t + 1.0e-4) * ahead
+            left -= hit.t + 1.0e-4
+    face[i] = met.face
+    normal[i] = -line
+    gap[i] = wp.float64(1.0e9)
+    if met.face >= 0:
+        place[i] = wp.vec3d(met.xi[0], met.xi[1], wp.float64(0.0))
+        gap[i] = met.gap
 
 
 @wp.kernel(enable_backward=False)
@@ -383,67 +387,28 @@ def contact_tangent(
     n = normal[i]
     m = shape[i % layout.points]
     s = shares(layout, place[i])
-    s1 = vec6d()
-    s2 = vec6d()
     core = slope * wp.outer(n, n)
-    p = geometric[scene_of(layout, i)] * p
-    side1 = wp.mat33d()
-    side2 = wp.mat33d()
     if layout.rigid:
-        core -= p * bend[i]
-    else:
-        xi = flat(place[i])
-        s1 = tri6_d1(xi)
-        s2 = tri6_d2(xi)
-        y1 = on_face(x, base, master, f, s1)
-        y2 = on_face(x, base, master, f, s2)
-        a11 = wp.dot(y1, y1)
-        a12 = wp.dot(y1, y2)
-        a22 = wp.dot(y2, y2)
-        det = a11 * a22 - a12 * a12
-        c1 = (a22 * y1 - a12 * y2) / det
-        c2 = (a11 * y2 - a12 * y1) / det
-        # second derivatives of the six shape functions are constant
-        four = wp.float64(4.0)
-        eight = wp.float64(8.0)
-        x0 = x[base + master[f, 0]]
-        x3 = x[base + master[f, 3]]
-        x5 = x[base + master[f, 5]]
-        b11 = wp.dot(n, four * (x0 + x[base + master[f, 1]]) - eight * x3)
-        b22 = wp.dot(n, four * (x0 + x[base + master[f, 2]]) - eight * x5)
-        b12 = wp.dot(n, four * (x0 - x3 + x[base + master[f, 4]] - x5))
-        core += p * (b11 * wp.outer(c1, c1) + b22 * wp.outer(c2, c2) + b12 * (wp.outer(c1, c2) + wp.outer(c2, c1)))
-        side1 = p * wp.outer(c1, n)
-        side2 = p * wp.outer(c2, n)
+        core -= geometric[scene_of(layout, i)] * p * bend[i]
     for a in range(12):
         na = int(0)
         ca = wp.float64(0.0)
-        da1 = wp.float64(0.0)
-        da2 = wp.float64(0.0)
         if a < 6:
             na = base + slave[slave_face(layout, i), a]
             ca = m[a]
         else:
             na = base + master[f, a - 6]
             ca = -s[a - 6]
-            da1 = s1[a - 6]
-            da2 = s2[a - 6]
         for b in range(a, 12):
             nb = int(0)
             cb = wp.float64(0.0)
-            db1 = wp.float64(0.0)
-            db2 = wp.float64(0.0)
             if b < 6:
                 nb = base + slave[slave_face(layout, i), b]
                 cb = m[b]
             else:
                 nb = base + master[f, b - 6]
                 cb = -s[b - 6]
-                db1 = s1[b - 6]
-                db2 = s2[b - 6]
-            block = (ca * cb) * core + (ca * db1) * side1 + (ca * db2) * side2
-            block += wp.transpose((cb * da1) * side1 + (cb * da2) * side2)
-            add_stencil_block(pattern, values, na, nb, block, missing)
+            add_stencil_block(pattern, values, na, nb, (ca * cb) * core, missing)
 
 
 @wp.kernel(enable_backward=False)
@@ -510,36 +475,136 @@ def add_free(v: wp.array(dtype=wp.float64), equation: wp.array2d(dtype=wp.int32)
             wp.atomic_add(v, equation[node, c], part[c])
 
 
+@wp.func
+def in_plane(a: wp.vec3d, b: wp.vec3d, along_a: wp.float64, along_b: wp.float64) -> wp.vec2d:
+    """Coefficients in a and b of the vector of their plane whose products with them are given."""
+    aa = wp.dot(a, a)
+    ab = wp.dot(a, b)
+    bb = wp.dot(b, b)
+    det = aa * bb - ab * ab
+    return wp.vec2d((bb * along_a - ab * along_b) / det, (aa * along_b - ab * along_a) / det)
+
+
+@wp.struct
+class Change:
+    """What changes at a point along a displacement: the point against the place that it meets, the normal, the gap, and ξ of the place."""
+
+    apart: wp.vec3d
+    normal: wp.vec3d
+    gap: wp.float64
+    xi: wp.vec2d
+
+
+@wp.func
+def change_along(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec2d), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), bend: wp.array(dtype=wp.mat33d),
+    equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), i: wp.int32,
+) -> Change:  # fmt: skip
+    """Along v, of point i, which meets a face. The line through it turns with its own face, and meets the other surface where that is."""
+    base = scene_of(layout, i) * layout.nodes
+    f = face[i]
+    n = normal[i]
+    own = slave_face(layout, i)
+    m = shape[i % layout.points]
+    s = shares(layout, place[i])
+    found = Change()
+    for a in range(6):
+        found.apart += m[a] * free_vector(v, equation, base + slave[own, a]) - s[a] * free_vector(v, equation, base + master[f, a])
+    if layout.rigid:
+        found.normal = bend[i] * found.apart
+        found.gap = wp.dot(n, found.apart)
+        return found
+    at = points[i % layout.points]
+    m1 = tri6_d1(at)
+    m2 = tri6_d2(at)
+    dx1 = wp.vec3d()
+    dx2 = wp.vec3d()
+    for a in range(6):
+        dx1 += m1[a] * free_vector(v, equation, base + slave[own, a])
+        dx2 += m2[a] * free_vector(v, equation, base + slave[own, a])
+    x1 = on_face(x, base, slave, own, m1)
+    x2 = on_face(x, base, slave, own, m2)
+    turn = in_plane(x1, x2, wp.dot(n, dx1), wp.dot(n, dx2))
+    found.normal = -turn[0] * x1 - turn[1] * x2
+    y1 = on_face(x, base, master, f, tri6_d1(flat(place[i])))
+    y2 = on_face(x, base, master, f, tri6_d2(flat(place[i])))
+    outward = wp.cross(y1, y2)
+    away = found.apart - gap[i] * found.normal
+    found.gap = wp.dot(outward, away) / wp.dot(outward, n)
+    away -= found.gap * n
+    found.xi = in_plane(y1, y2, wp.dot(away, y1), wp.dot(away, y2))
+    return found
+
+
 @wp.kernel(enable_backward=False)
-def slip_product(
-    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, weight: wp.array(dtype=wp.float64),
-    master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d), normal: wp.array(dtype=wp.vec3d),
-    gap: wp.array(dtype=wp.float64), multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64,
-    pressure: wp.array(dtype=wp.float64), traction: wp.array(dtype=wp.vec3d), anchor_face: wp.array(dtype=wp.int32),
-    anchor_place: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), geometric: wp.array(dtype=wp.float64),
+def gap_changes(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec2d), master: wp.array2d(dtype=wp.int32), face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64), bend: wp.array(dtype=wp.mat33d),
     equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float64),
 ):  # fmt: skip
-    """Adds to `out` the product with v of what `SurfaceContact.slip_coupling` gives as factors, in scenes whose `geometric` is set."""
+    """The derivative of the gaps along v; 0 where a point meets nothing."""
+    i = wp.tid()
+    out[i] = wp.float64(0.0)
+    if face[i] >= 0:
+        change = change_along(slave, shape, layout, x, points, master, face, place, normal, gap, bend, equation, v, i)
+        out[i] = change.gap
+
+
+@wp.kernel(enable_backward=False)
+def add_remainder(
+    slave: wp.array2d(dtype=wp.int32), shape: wp.array(dtype=vec6d), layout: Layout, x: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec2d), weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32),
+    face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d), normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
+    multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64, bend: wp.array(dtype=wp.mat33d),
+    frictional: wp.bool, anchor_face: wp.array(dtype=wp.int32), anchor_place: wp.array(dtype=wp.vec3d), shift: wp.array(dtype=wp.vec3d),
+    friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64), geometric: wp.array(dtype=wp.float64),
+    equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Adds to `out` the derivative of the contact's forces along v less what the two tangents assemble, where `geometric` is set."""
     i = wp.tid()
     scene = scene_of(layout, i)
     base = scene * layout.nodes
-    mu = friction[scene]
-    size = wp.length(traction[i])
-    if geometric[scene] == wp.float64(0.0) or mu <= wp.float64(0.0) or pressure[i] <= wp.float64(0.0):
-        return
-    if size <= wp.float64(0.0) or size < mu * pressure[i] * (wp.float64(1.0) - wp.float64(1.0e-9)):
-        return
+    f = face[i]
     k = stiffness[i // layout.points]
-    s = multiplier[i] / k - gap[i]
-    m = shape[i % layout.points]
+    s0 = multiplier[i] / k - gap[i]
+    if geometric[scene] == wp.float64(0.0) or f < 0 or s0 <= wp.float64(0.0):
+        return
+    w = weight[i]
+    p = w * penalty_pressure(s0, k, eps)
+    slope = w * penalty_slope(s0, k, eps)
+    n = normal[i]
     own = slave_face(layout, i)
-    near = shares(layout, place[i])
-    closing = wp.vec3d()
+    m = shape[i % layout.points]
+    s = shares(layout, place[i])
+    change = change_along(slave, shape, layout, x, points, master, face, place, normal, gap, bend, equation, v, i)
+    dn = change.normal
+    pull = wp.vec3d()
+    s1 = vec6d()
+    s2 = vec6d()
+    if not layout.rigid:
+        s1 = tri6_d1(flat(place[i]))
+        s2 = tri6_d2(flat(place[i]))
+        pull = slope * (change.gap - wp.dot(n, change.apart)) * n - p * dn
+    rub = wp.vec3d()
+    held = vec6d()
+    anchor = anchor_face[i]
+    if frictional and anchor >= 0:
+        held = shares(layout, anchor_place[i])
+        position = on_face(x, base, slave, own, m)
+        full = shift[i] + stick[i // layout.points] * (position - on_face(x, base, master, anchor, held))
+        t = full - wp.dot(full, n) * n
+        dt = -wp.dot(full, n) * dn - wp.dot(full, dn) * n
+        size = w * wp.length(t)
+        mu = friction[scene]
+        rub = w * dt
+        if mu >= wp.float64(0.0) and size > mu * p:
+            along = wp.normalize(t)
+            rub = (mu * p / size) * (rub - wp.dot(along, rub) * along) - (mu * slope * change.gap) * along
     for a in range(6):
-        closing += m[a] * free_vector(v, equation, base + slave[own, a])
-        closing -= near[a] * free_vector(v, equation, base + master[face[i], a])
-    pull = (mu * weight[i] * penalty_slope(s, k, eps) * wp.dot(normal[i], closing) / size) * traction[i]
-    held = shares(layout, anchor_place[i])
-    for a in range(6):
-        add_free(out, equation, base + slave[own, a], m[a] * pull)
-        add_free(out, equation, base + master[anchor_face[i], a], -held[a] * pull)
+        add_free(out, equation, base + slave[own, a], m[a] * (pull + rub))
+        add_free(out, equation, base + master[f, a], p * (s1[a] * change.xi[0] + s2[a] * change.xi[1]) * n - s[a] * pull)
+        if anchor >= 0:
+            add_free(out, equation, base + master[anchor, a], -held[a] * rub)

@@ -8,13 +8,15 @@
     X = what E grows by where a press goes on by another way (quasistatic.py): the same bodies at the same approach, in stiffer tets say
 
 so drift = (W - (E - X) - D - C)/W is zero but for the size of the load steps and Newton's tolerance. R·du/ds over the approach s is
-integrated by monotone cubics through the load steps (for a power law of 1.2 to 2.5 and five steps within 0.1 %). With "stick", D is what
-friction's own penalty gives way.
+integrated by monotone cubics through the load steps (for a power law of 1.2 to 2.5 and five steps within 0.1 %), by a power law through a
+lone one, on either side of where a press goes on. With "stick", D is what friction's own penalty gives way.
 
 A point that touches for the first time counts its slip since the step began, as the contact law does: long load steps make D too large.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -36,6 +38,8 @@ class EnergyBalance:
         self._approach = [0.0]
         self._power: list[tuple[float, float]] = []
         """R·Δu/Δs of each step with R at its beginning and at its end."""
+        self._gone_on: list[int] = []
+        """Steps before which the press went on by another way, and R jumped."""
         self.jump = 0.0, 0.0
         """The largest share of a step's work that went nowhere, and the approach [m] that the step ended at; but for the first two, whose
         work is not known so well."""
@@ -81,6 +85,7 @@ class EnergyBalance:
     def go_on(self, problem: PressProblem) -> None:
         """Follows the same press solved another way, from its present state, whose contact has settled."""
         self.problem = problem
+        self._gone_on.append(len(self._power))
         self._internal, self._reaction = self._forces()
         if problem.memory is None:
             stored = problem.solids.energy()
@@ -110,10 +115,15 @@ class EnergyBalance:
 
         if not self._power:
             return {"work_j": 0.0, "stored_j": 0.0, "dissipated_j": 0.0, "overlap_j": 0.0, "changed_j": 0.0, "drift": 0.0}
-        begin, end = np.array(self._power).T
-        # between two steps the mean of what both say: the same where the platen moves straight
-        power = np.array([begin[0], *(0.5 * (end[:-1] + begin[1:])), end[-1]])
-        work = float(PchipInterpolator(self._approach, power).integrate(0.0, self._approach[-1]))
+        work, approach = 0.0, np.array(self._approach)
+        for first, last in pairwise(sorted({0, *self._gone_on, len(self._power)})):
+            if last == first + 1:
+                work += _power_law_work(approach[first], approach[last], *self._power[first])
+                continue
+            begin, end = np.array(self._power[first:last]).T
+            # between two steps the mean of what both say: the same where the platen moves straight
+            power = np.array([begin[0], *(0.5 * (end[:-1] + begin[1:])), end[-1]])
+            work += float(PchipInterpolator(approach[first : last + 1], power).integrate(approach[first], approach[last]))
         parts = (work, self._stored, self._lost, self._overlap_work, self._changed)
         drift = (work - self._held) / work if abs(work) > _SEEN else 0.0
         scale = self.problem.copies * JOULE

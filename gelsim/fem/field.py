@@ -22,6 +22,9 @@ Left out: what lies farther from the surface than BAND, where φ is known to a c
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,6 +33,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gelsim.files import cache_folder, whole_file
 from gelsim.geometry import QuadraticSurface
 from gelsim.scene.definition import Body, Scene
 from gelsim.shape import outlines, shapes
@@ -264,6 +268,8 @@ def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], s
 
 
 # ---------------------------------------------------------------------------------------------------------------- of a press
+_SCHEMA = 1
+"""Of kept fields: raised where the same shape is sampled differently."""
 MARGIN_MM = 0.6
 """Of the grid around the part of the object that the gel may come to."""
 
@@ -291,7 +297,19 @@ def _field(body: Body, stamp: tuple[int, ...], low: tuple[float, ...], high: tup
     extent = surface.vertices * MM_PER_M
     begin = np.maximum(low, extent.min(axis=0) - MARGIN_MM)
     end = np.minimum(high, extent.max(axis=0) + MARGIN_MM)
-    return sampled(exact_distance(body), begin, end, spacing(body))
+    if not shapes.of_file(body):
+        return sampled(exact_distance(body), begin, end, spacing(body))
+    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, spacing(body)]).tobytes())
+    digest.update(surface.vertices.tobytes() + surface.faces.tobytes())
+    path = cache_folder("fields") / f"{digest.hexdigest()[:32]}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return DistanceField(kept["samples"], tuple(kept["origin"].tolist()), float(kept["spacing"]))
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        field = sampled(exact_distance(body), begin, end, spacing(body))
+    with contextlib.suppress(OSError), whole_file(path) as partial, partial.open("wb") as file:  # a cache that is full costs a second
+        np.savez(file, samples=field.samples, origin=field.origin, spacing=field.spacing)
+    return field
 
 
 def spacing(body: Body) -> float:

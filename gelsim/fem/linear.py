@@ -211,14 +211,14 @@ class SuperLUSolver:
 
 
 class SymmetricSystem:
-    """Solves (K + B_tᵀ B_n) x = b with a direct factorisation of the symmetric K and, for the low-rank unsymmetric rest, GMRES.
+    """Solves (K + C) x = b with a direct factorisation of the symmetric K and, for contact's unsymmetric C, GMRES.
 
     Args:
         positive: Unknowns in which K of an equilibrium that bodies rest in is positive (displacements), for `exact` steps.
     Attributes: `factorisations` and `solves` done so far; `product`, x to K x of the last matrix.
     """
 
-    # Friction couples few points: a handful of iterations. Where they fall short the step is inexact, and Newton corrects it.
+    # C couples few points: some ten iterations. Where they fall short the step is inexact, and Newton corrects it.
     KRYLOV_TOLERANCE = 1e-3
     KRYLOV_LIMIT = 20
     # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
@@ -279,7 +279,7 @@ class SymmetricSystem:
         self.factorise()
         return self._direct(b)
 
-    def step(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None, exact: bool) -> NDArray[np.float64]:
+    def step(self, b: NDArray[np.float64], coupling: Product | None, exact: bool) -> NDArray[np.float64]:
         """x of the last K as Newton needs it: roughly, by GMRES on factors of an earlier K, or as `solve` on new ones.
 
         New ones are made where there are none, where they are cheap, where the last step wore them out, where GMRES falls short, and where
@@ -293,7 +293,7 @@ class SymmetricSystem:
             def preconditioned(v: NDArray[np.float64]) -> NDArray[np.float64]:
                 self.solves += 1
                 product = self.product(v)
-                return self.direct.solve(product if coupling is None else product + coupling[0].T @ (coupling[1] @ v))
+                return self.direct.solve(product if coupling is None else product + coupling(v))
 
             operator = LinearOperator((len(b), len(b)), matvec=preconditioned, dtype=b.dtype)  # type: ignore[call-arg]
             x, failed = gmres(operator, start, rtol=self.FORCING, restart=self.KRYLOV_LIMIT, maxiter=1)
@@ -324,15 +324,14 @@ class SymmetricSystem:
             self.factorise()
             self._stiffened = number
 
-    def solve(self, b: NDArray[np.float64], coupling: tuple[sp.csr_matrix, sp.csr_matrix] | None) -> NDArray[np.float64]:
+    def solve(self, b: NDArray[np.float64], coupling: Product | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""
         x = self._direct(b)
         if coupling is None:
             return x
-        along, closing = coupling
 
         def coupled(v: NDArray[np.float64]) -> NDArray[np.float64]:
-            return v + self._direct(along.T @ (closing @ v))
+            return v + self._direct(coupling(v))
 
         operator = LinearOperator((len(b), len(b)), matvec=coupled, dtype=b.dtype)  # type: ignore[call-arg]
         return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]

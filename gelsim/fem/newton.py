@@ -2,7 +2,7 @@
 
 One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
 (linear.py). Contact that opens and closes makes full steps cycle: a line search on the work of the unbalanced forces along the step cuts
-them where they overshoot. Where that is not enough, points keep their faces, steps are exact, may not make the residual grow, and lead to a
+them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a
 minimum of the energy, not to a saddle: where a body folds or slips off an edge, that is the way down (`SymmetricSystem`). Converged means:
 forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
 
@@ -24,7 +24,6 @@ from gelsim.fem.pattern import SymmetricPattern, build_pattern, pair_keys
 # A step with the last matrix saves its assembly. It is taken below this residual while the steps shrink it by so much.
 CHORD_BELOW = 0.05
 CHORD_DROP = 0.3
-FREEZE_AFTER = 6  # iterations with free pairing; smooth surfaces need no more
 MAX_LINE_SEARCH = 8
 LINE_SEARCH_DROP = 0.8  # the slope along the step must shrink to this share
 SMALLEST_JACOBIAN = 0.05
@@ -88,16 +87,17 @@ class Newton:
     def __init__(self, solids: Solids, contact: SurfaceContact, options: NewtonOptions) -> None:
         self.solids, self.contact, self.options = solids, contact, options
         self.pattern: SymmetricPattern | None = None
+        self._equation = wp.array(solids.equation, dtype=wp.int32, device=solids.device)
         self._values: wp.array  # of the pattern: fresh memory costs more than its clearing
         self.displacement_unknown = np.zeros(solids.unknowns)
         self.displacement_unknown[solids.equation[:, :3][solids.free[:, :3]]] = 1.0
         self.system = SymmetricSystem(self.displacement_unknown > 0.0)
 
-    def residual(self, reach: float, freeze: bool = False) -> Residual:
+    def residual(self, reach: float) -> Residual:
         """Equations at the solids' present displacement and pressure."""
         solids = self.solids
         x = solids.positions()
-        self.contact.update(x, reach, freeze)
+        self.contact.update(x, reach)
         contact_force = wp.zeros(solids.node_count, dtype=wp.vec3d, device=solids.device)
         self.contact.add_force(x, contact_force)
         internal, volume, min_jacobian = solids.internal_force()
@@ -130,9 +130,7 @@ class Newton:
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 
-    def _line_search(
-        self, step: Array, residual: Residual, reach: float, freeze: bool, exact: bool = False
-    ) -> tuple[Residual | None, float]:
+    def _line_search(self, step: Array, residual: Residual, reach: float, exact: bool = False) -> tuple[Residual | None, float]:
         """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the end, or a root by regula falsi.
 
         The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are
@@ -147,7 +145,7 @@ class Newton:
         for _ in range(MAX_LINE_SEARCH):
             self.solids.move(start, step, fraction)
             self.contact.set_pairing(pairing)
-            trial = self.residual(reach, freeze)
+            trial = self.residual(reach)
             if not trial.possible or (exact and trial.size > LARGEST_GROWTH * residual.size):
                 high, high_slope, fraction = None, 0.0, low + 0.5 * (fraction - low)
                 continue
@@ -185,7 +183,7 @@ class Newton:
     def _iterate(self, reach: float, goal: float, limit: int) -> tuple[SolveStatus, int, Residual]:
         """Newton's iterations; why they ended, how many there were, and where."""
         solids, contact = self.solids, self.contact
-        residual = self.residual(reach, freeze=limit == 0)
+        residual = self.residual(reach)
         before = np.inf
         sizes: list[float] = []
         for iteration in range(limit + 1):
@@ -202,12 +200,12 @@ class Newton:
             if not chord:
                 self.system.update(self.tangent(near))
             before = size
-            coupling = contact.slip_coupling(solids.equation, solids.unknowns) if near else None
+            coupling = contact.remainder(self.x, self._equation, solids.unknowns) if near else None
             exact = iteration >= self.options.exact_after
             step = self.system.step(-residual.equations, coupling, exact)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
-            trial, _ = self._line_search(step, residual, reach, freeze=iteration >= FREEZE_AFTER, exact=exact)
+            trial, _ = self._line_search(step, residual, reach, exact)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial

@@ -40,19 +40,17 @@ class PressProblem:
     """A scene made ready for Newton: numbering, supports, materials, contact.
 
     `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`. `held`: the part of κ, in shear moduli, by
-    which volume is held at points (`Solids.hold_volume`), of half of κ at most. `on_object`: contact's points are those of the object's
-    faces, and the gel is their master; else the other way round. `most_wasted`: Newton iterations of solves that failed, after which
-    a march ends; `patient`: of its solves (`NewtonOptions`).
+    which volume is held at points (`Solids.hold_volume`), of half of κ at most. `most_wasted`: Newton iterations of solves
+    that failed, after which a march ends; `patient`: of its solves (`NewtonOptions`).
     """
 
-    on_object = False
     most_wasted = MOST_WASTED
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
                  part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
-                 held: float = 0.0, on_object: bool = False, tolerance: float | None = None,
-                 most_wasted: int = MOST_WASTED, patient: bool = True) -> None:  # fmt: skip
+                 held: float = 0.0, tolerance: float | None = None, most_wasted: int = MOST_WASTED,
+                 patient: bool = True) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
         gel_rest = gel.rest_positions * MM_PER_M
@@ -113,12 +111,10 @@ class PressProblem:
         mu = scene.contact.friction_coefficient
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM[scene.fidelity], friction, STICK_PER_MODULUS * softest)
-        self.on_object = on_object
         coated = gel.groups["coated"]
         if isinstance(body, TetMesh):
-            pair = coated, (body.groups["contact"] + n).astype(np.int32)
-            slave, master = reversed(pair) if on_object else pair
-            self.contact = SurfaceContact(slave, master, rest, self.law, device, contact_points, gel.symmetry, ends=on_object)
+            faces = (body.groups["contact"] + n).astype(np.int32)
+            self.contact = SurfaceContact(coated, faces, rest, self.law, device, contact_points, gel.symmetry)
         else:
             field = distance_field(scene)
             self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, contact_points, gel.symmetry)
@@ -157,8 +153,7 @@ class PressProblem:
         c = self.contact
         pressure = c.pressure.numpy()[:, None]
         local = pressure * c.normal.numpy() + (c.traction.numpy() if c.frictional else 0.0)
-        force = (c.rest_weight[:, None] * np.where(pressure > 0, local, 0.0)).sum(0) * self.copies
-        return self._across_planes(-force if self.on_object else force)
+        return self._across_planes((c.rest_weight[:, None] * np.where(pressure > 0, local, 0.0)).sum(0) * self.copies)
 
     def support_force(self) -> Array:
         """Reaction [N] of the window on the gel, for the force balance: equal and opposite to `contact_force` at equilibrium."""

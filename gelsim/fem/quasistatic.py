@@ -3,8 +3,7 @@
 Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
 contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
 has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after it was
-tried from the last state alone, its object moved along); after two easy steps it doubles again, to CAREFUL_STEP at most. Later tries march
-in such steps from the start, and where that does not get there in steps as long as the spacing. Recorded states
+tried from the last state alone, its object moved along); after two easy steps it doubles again, to LONGEST_STEP at most. Recorded states
 are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
 search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share of the way is not known
 before, a second march records. What ended a press its info says (`errors.PressEnd`).
@@ -54,7 +53,8 @@ FOLDED = 0.5  # smallest det F of a state over that before it, under which the s
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
-CAREFUL_STEP = 0.25e-3  # [m] of the march that looks for the approach of a force; the longest once a step has failed, and of later tries
+FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
+LONGEST_STEP = 1e-3  # [m]
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
 
 
@@ -129,7 +129,7 @@ def march_press(
             if progress is not None and press.force_n is not None:
                 progress(round(float(np.clip(search.normal_force / press.force_n, 0.0, 1.0)) * (press.frames - 1)), press.frames)
 
-        yield from search.run(CAREFUL_STEP, int(search.depth / CAREFUL_STEP) + 2, share, CAREFUL_STEP, before)
+        yield from search.run(LONGEST_STEP, int(search.depth / LONGEST_STEP) + 2, share, before)
         found = search.found()
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
@@ -143,13 +143,8 @@ def march_press(
             march = search
     depth, end, beyond = found
     if march is None:
-        spacing = depth / (press.frames - 1)
-        for longest in dict.fromkeys((min(spacing, CAREFUL_STEP), spacing) if problem.held else (spacing,)):
-            march = _March(problem, press, depth, record)
-            yield from march.run(spacing, press.frames, progress, longest, before)
-            if march.status is SolveStatus.CONVERGED or before is not None:
-                break
-    assert march is not None
+        march = _March(problem, press, depth, record)
+        yield from march.run(depth / (press.frames - 1), press.frames, progress, before)
     message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
@@ -203,10 +198,10 @@ class _March:
         self._rate = 0.0
         self._iterations = self._factorisations = self._wasted = 0
 
-    def run(self, spacing: float, states: int, progress: Progress | None, longest: float, before: _March | None = None) -> Marching:
+    def run(self, spacing: float, states: int, progress: Progress | None, before: _March | None = None) -> Marching:
         """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m].
 
-        No step is longer than `longest` [m]. Begins at rest, or where `before` stands.
+        Begins at rest, or where `before` stands.
         """
         problem, self._spacing = self.problem, spacing
         if before is None:
@@ -220,15 +215,14 @@ class _March:
             here = yield from self._go_on(before)
             if here is None:
                 return
-            longest = min(longest, CAREFUL_STEP)
-        step, easy = longest if before is None else longest / 4, 0
+        longest = min(spacing, LONGEST_STEP)
+        step, easy = min(longest, FIRST_STEP), 0
         while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
             target = min(spacing * len(self.recorder.approach), self.depth)
             new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
             if self.halved:
                 new = min(new, self._nearly_at_force())
             if not (yield from self._attempt(here, new)):
-                longest = min(longest, CAREFUL_STEP)
                 step, easy, self.halved = min((new - here.approach) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
                     return
@@ -256,7 +250,7 @@ class _March:
         self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
         self._smallest = here.min_jacobian
         problem.solids.set_state(here.fields)
-        problem.contact.inherit(before.problem.contact, problem.solids.rest, problem.solids.positions(), LOOKED_MM)
+        problem.contact.inherit(before.problem.contact, problem.solids.positions(), LOOKED_MM)
         start = self._state(here.approach)
         self._arrive(start, before.normal_force)
         if not (yield from self._attempt(start, here.approach)):

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SolveStatus
-from gelsim.fem.contact import rest_weights
 from gelsim.fem.elements import triangle_quadrature
 from gelsim.fem.indicator import (
     DISTORTED,
@@ -180,20 +179,10 @@ def _area_and_pressure(problem: PressProblem) -> tuple[float, Array]:
     # augmentation leaves half the penalty's smoothing as overlap
     opening = contact.gap.numpy().reshape(weight.shape) + problem.law.smoothing / 2
     area = touching_area(x, contact.slave_faces, opening, pressure) * problem.copies / MM_PER_M**2
-    gel_faces, bary = problem.gel.groups["coated"], triangle_quadrature(contact.points)[0]
-    if problem.on_object:
-        touching = np.flatnonzero(pressure > 0)
-        xi = contact.place.numpy()[touching, :2]
-        face = np.asarray(contact.face.numpy(), np.int32)[touching]
-        nodes = contact.master_faces[face]
-        # a point may lie a little beside the face that it keeps
-        place = np.maximum(np.column_stack([1 - xi.sum(1), xi]), 0.0)
-        top = (weight * pressure).ravel()[touching, None] * _hats(place / place.sum(1, keepdims=True))
-        weight = rest_weights(solids.rest, gel_faces, contact.points)
-    else:
-        nodes, top = gel_faces, (weight * pressure) @ _hats(bary)
-    total = np.bincount(gel_faces.ravel(), (weight @ _hats(bary)).ravel(), solids.node_count)
-    mean = np.bincount(nodes.ravel(), top.ravel(), solids.node_count) / np.where(total > 0, total, 1.0)
+    hats = _hats(triangle_quadrature(contact.points)[0])
+    loads, nodes = (weight, weight * pressure), contact.slave_faces.ravel()
+    total, carried = (np.bincount(nodes, (load @ hats).ravel(), solids.node_count) for load in loads)
+    mean = carried / np.where(total > 0, total, 1.0)
     return float(area), mean / KPA_PER_PA
 
 

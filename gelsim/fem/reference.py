@@ -1,14 +1,13 @@
-"""The mechanics written slowly: energies in clear float64 NumPy, as the specification of the Warp kernels. For tests and for doubt only.
+"""The mechanics written slowly: energies, and contact's forces, in clear float64 NumPy, as the specification of the Warp kernels.
 
-Only the potentials are written out,
+For tests and for doubt only. Only the potential of the bodies is written out,
 
     Π(u, p) = ∫ Ŵ + p (J - 1) - p²/(2κ) + H:(C - 1)/2 dV   (assembly.py, hyperelastic.py; H only in viscoelastic.py)
-    Φ(x)    = ∫ φ(λ/k - g(x)) dA                           (contact.py)
 
-with J = det F and g the signed distance to the closest point of a six-node face, and Coulomb's return mapping, which has no potential.
-Forces and tangents are their derivatives by the complex step, Im f(x + ih)/h with h = 1e-30: exact to rounding, as nothing is subtracted
-(Squire and Trapp 1998). So no derivative formula of the kernels is repeated here, and an error in one cannot hide in both. Every function
-takes complex arguments for that reason: a norm is the root of the sum of squares, and branches look at real parts.
+with J = det F, and the forces of contact and of Coulomb's friction (contact.py), which have none. The rest is their derivatives by the
+complex step, Im f(x + ih)/h with h = 1e-30: exact to rounding, as nothing is subtracted (Squire and Trapp 1998). So no derivative formula
+of the kernels is repeated here, and an error in one cannot hide in both. Every function takes complex arguments for that reason: a norm is
+the root of the sum of squares, and branches look at real parts.
 
 Left out: search for the face that a point belongs to (the caller says), and speed. Units are the solver's (mm, kPa, mN).
 """
@@ -173,9 +172,13 @@ def penalty_pressure(s: Array, k: float, eps: float) -> Array:
     return np.where(s.real <= 0, 0.0, np.where(s.real < eps, k * s**2 / (2 * eps), k * (s - eps / 2)))
 
 
+def _shape(xi: Array) -> Array:
+    return tri6_shape(np.array([1 - xi[0] - xi[1], xi[0], xi[1]]))
+
+
 def face_point(nodes: Array, xi: Array) -> Array:
     """y(ξ) (3,) on a six-node face (6, 3)."""
-    return tri6_shape(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])) @ nodes
+    return _shape(xi) @ nodes
 
 
 def face_normal(nodes: Array, xi: Array) -> Array:
@@ -185,43 +188,45 @@ def face_normal(nodes: Array, xi: Array) -> Array:
     return normal / np.sqrt((normal * normal).sum())
 
 
-def closest_point(x: Array, nodes: Array, xi: Array) -> Array:
-    """ξ (2,) where x - y(ξ) is normal to the (extended) face: Newton from `xi` with the whole second derivative."""
-    corner = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
-    gradients = tri6_gradient(corner)
-    # the second derivatives of the six shape functions are constant: differences of their (linear) gradients between the corners
-    second = np.stack([gradients[1] - gradients[0], gradients[2] - gradients[0]], axis=-1)
-    bend = np.einsum("aij,ac->ijc", second, nodes)
-    for _ in range(8):  # quadratic convergence: five from a start on the right face, and one more for the complex part
-        tangents = tri6_gradient(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])).T @ nodes
-        off = x - face_point(nodes, xi)
-        step = np.linalg.solve(tangents @ tangents.T - bend @ off, tangents @ off)
-        xi = xi + step
-    return xi
+def meeting(nodes: Array, at: Array, xi: Array) -> tuple[Array, Array, Array]:
+    """Gap g [mm], normal n (3,) and ξ (2,) where the line of a point of the gel meets a face of the object.
 
-
-def gap_of(x: Array, nodes: Array, xi: Array) -> tuple[Array, Array, Array]:
-    """Gap g = n·(x - y) [mm], normal (3,) and foot ξ (2,) of a point x against a face, sought from `xi`."""
-    xi = closest_point(x, nodes, xi)
-    normal = face_normal(nodes, xi)
-    return normal @ (x - face_point(nodes, xi)), normal, xi
-
-
-def contact_potential(nodes: Array, shape: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
-    """φ(λ/k - g) of one point [kPa·mm]; times the area it stands for, this is Φ.
+    The line runs from the place `at` (2,) on the gel's face along that face's outward normal -n, and is followed by Newton on
+    x - g n = y(ξ), three equations for ξ and g, onto the (extended) face of the object.
 
     Args:
-        nodes: Positions (12, 3) [mm]: the gel's six-node face, then the object's.
-        shape: The gel face's shape functions at the point (6,). xi: where to seek the closest point from.
+        nodes: Positions (12 or more, 3) [mm]: the gel's six-node face, then the object's. xi: where to seek from.
     """
-    return penalty_potential(multiplier / k - gap_of(shape @ nodes[:6], nodes[6:], xi)[0], k, eps)
+    x, normal = face_point(nodes[:6], at), -face_normal(nodes[:6], at)
+    gap = normal @ (x - face_point(nodes[6:12], xi))
+    for _ in range(8):  # quadratic convergence: five from a start on the right face, and one more for the complex part
+        tangents = tri6_gradient(np.array([1 - xi[0] - xi[1], xi[0], xi[1]])).T @ nodes[6:12]
+        step = np.linalg.solve(np.column_stack([*tangents, normal]), x - gap * normal - face_point(nodes[6:12], xi))
+        xi, gap = xi + step[:2], gap + step[2]
+    return gap, normal, xi
 
 
-def contact_force(nodes: Array, shape: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
-    """∂φ/∂nodes (12, 3) [kPa]: the gap's gradient is n at the point and -n at its foot, as the foot lies along n."""
-    gap, normal, foot = gap_of(shape @ nodes[:6], nodes[6:], xi)
-    there = tri6_shape(np.array([1 - foot[0] - foot[1], foot[0], foot[1]]))
-    return np.outer(np.concatenate([-shape, there]), penalty_pressure(multiplier / k - gap, k, eps) * normal)
+def contact_force(nodes: Array, at: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
+    """Forces p n on the gel at a point and -p n on the object where its line meets it, as ∂φ/∂u would have them (12, 3) [kPa].
+
+    Times the area that the point stands for. Arguments as of `meeting`, multiplier λ [kPa], k [kPa/mm], ε [mm].
+    """
+    gap, normal, there = meeting(nodes, at, xi)
+    return np.outer(np.concatenate([-_shape(at), _shape(there)]), penalty_pressure(multiplier / k - gap, k, eps) * normal)
+
+
+def friction_force(nodes: Array, at: Array, xi: Array, multiplier: float, k: float, eps: float,
+                   anchor: Array, shift: Array, stiffness: float, friction: float) -> Array:  # fmt: skip
+    """Forces of friction, likewise (18, 3) [kPa].
+
+    Args:
+        nodes: Of the gel's face, of the object's that its line meets, and of the object's that it touched when the load step began.
+        anchor: Where on that one (2,). Others as of `contact_force` and `friction_traction`.
+    """
+    gap, normal, _ = meeting(nodes, at, xi)
+    slip = face_point(nodes[:6], at) - face_point(nodes[12:], anchor)
+    traction = friction_traction(slip, normal, shift, stiffness, friction, penalty_pressure(multiplier / k - gap, k, eps))
+    return np.outer(np.concatenate([_shape(at), np.zeros(6), -_shape(anchor)]), traction)
 
 
 def friction_traction(slip: Array, normal: Array, shift: Array, stiffness: float, friction: float, pressure: Array) -> Array:

@@ -1,34 +1,33 @@
-"""How the force and the membrane of a press answer to the moduli and to the approach: the adjoint of the converged state.
+"""How the force and the membrane of a press answer to the moduli and to the approach: the linearised equations of the converged state.
 
 A state is a displacement and pressure w and contact multipliers λ (at the vertices of the gel's faces) with
 
-    R(w, λ, θ) = 0,        λ - D M⁻¹ Bᵀ A p(w, λ, θ) = 0,
+    R(w, λ, θ) = 0,        λ - Π(w, λ, θ) = 0,        Π = D M⁻¹ Bᵀ A p,
 
 R the equations of Newton, p_i = φ'(λ_i/k_i - g_i) the pressures of the contact's quadrature points, A their areas, B their linear shape
 functions, M = Bᵀ A B, D 1 where λ > 0 and else 0. A press stops its augmentations when the overlap is small; here they go on until λ stands
-still, so that the state depends on θ alone and not on the way to it. With K = ∂R/∂w, G = ∂g/∂w, S = ∂p/∂(λ/k)/k and C = A S, a functional
-J(w, λ, θ) has
+still, so that the state depends on θ alone and not on the way to it. Its change with θ has
 
-    [ K          kGᵀ C B M⁻¹ D ] [a]   [∂J/∂w]
-    [-Bᵀ C G   1 - Bᵀ C B M⁻¹ D ] [b] = [∂J/∂λ],        dJ/dθ = ∂J/∂θ - aᵀ ∂R/∂θ - bᵀ ∂(λ - …)/∂θ .
+    K ẇ - Nᵀ A S B λ̇ = -∂R/∂θ,        λ̇ - D M⁻¹ Bᵀ A S (B λ̇ - k G ẇ) = ∂Π/∂θ,
 
-K is symmetric and factorised once a state, in float64. Eliminating a leaves an equation for b of the size of the contact; where multipliers
-carry the load it is near one (it is what one augmentation leaves undone), and GMRES answers it in some ten back-substitutions.
+S = ∂p/∂(λ/k)/k, G = ∂g/∂w, and Nᵀ what makes nodal forces of the points' pressures; a soft object's G is not N, and its K = K_s + C is not
+symmetric (contact.py). The symmetric K_s is factorised once a state, in float64. GMRES solves for (ẇ, λ̇) at once, after K_s⁻¹ on the first
+equation, whose answer goes into the second: where multipliers carry the load, little is left but one.
 
 θ are the moduli of the two bodies and the approach straight down. R is linear in a modulus at given w but for -p/κ. The penalty k is
-k·h = 30 E of the softer body, so it follows that modulus, and its (small) effect is part of the derivative. The force is the platen's
-reaction, F = vᵀR over the driven nodes with v their unit motion, which needs the rows of the tangent that Newton leaves out.
+k·h = 30 E of the softer body, so it follows that modulus, and its (small) effect is part of the derivative. Both moduli together are only a
+scale of forces, at the same shape: the gel's part is the whole less the object's. The force is the platen's reaction, F = vᵀR over the
+driven nodes with v their unit motion, which needs the rows of the tangent that Newton leaves out.
 
 An object of several materials has one modulus here, that of its body, to which the others are in proportion.
 
 Refused: friction and viscosity, whose history would have to be differentiated step by step. Left out: change of the pairing of points and
-faces, which is continuous for smooth objects, and what the tangent leaves out (contact.py: first order in the gap).
+faces, which is continuous for smooth objects.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -54,21 +53,14 @@ KRYLOV_TOLERANCE = 1e-10
 KRYLOV_LIMIT = 200
 
 
-@dataclass(frozen=True)
-class Functional:
-    """A linear functional of a state: the force times a factor plus weights times displacements of nodes."""
+class Linearised:
+    """The linearised equations of a frictionless press at its present state, factorised once.
 
-    force: float = 0.0
-    """Of the normal force [N]."""
-    nodes: NDArray[np.integer] | None = None
-    weights: Array | None = None
-    """Of the displacements [m] of `nodes`, (K, 3)."""
+    Vectors of unknowns count the driven nodes' displacements too (`equation`, (N, 4)); `own` are Newton's among them.
+    Attributes: `solves` with the factors so far.
+    """
 
-
-class Adjoint:
-    """The linearised equations of a frictionless press at its present state, factorised once."""
-
-    def __init__(self, problem: PressProblem, moduli_kpa: Sequence[float]) -> None:
+    def __init__(self, problem: PressProblem) -> None:
         self.problem = problem
         self.solves = 0
         newton, solids, contact = problem.newton, problem.solids, problem.contact
@@ -76,7 +68,6 @@ class Adjoint:
         newton.system.update(newton.tangent(geometric=True))
         newton.system.factorise()
 
-        # the tangent with the driven nodes as unknowns, and their unit motion: a millimetre of approach
         free = solids.free.copy()
         free[problem.driven, :3] = True
         pairs = pair_keys(*contact.node_pairs(margin=0.2), solids.node_count)
@@ -85,98 +76,112 @@ class Adjoint:
         values = wp.zeros(len(pattern.indices), dtype=wp.float64, device=solids.device)
         assert contact.add_tangent(newton.x, pattern.pairs, values, geometric=True)
         solids.add_tangent(pattern.pairs, values)
-        upper = sp.csr_matrix((values.numpy(), pattern.indices, pattern.indptr), shape=(pattern.size, pattern.size))
-        motion = np.zeros(pattern.size)
-        motion[pattern.equation[problem.driven, 2]] = -1.0
-        moved = upper @ motion + upper.T @ motion - upper.diagonal() * motion
-        own = pattern.equation[solids.free]  # Newton's unknowns among these
+        self.upper = sp.csr_matrix((values.numpy(), pattern.indices, pattern.indptr), shape=(pattern.size, pattern.size))
+        self.size, self.equation, self.own = pattern.size, pattern.equation, pattern.equation[solids.free]
+        numbers = wp.array(pattern.equation, dtype=wp.int32, device=solids.device)
+        self.rest = contact.remainder(newton.x, numbers, pattern.size)
+        self.gap_changes = contact.gap_changes(newton.x, numbers)
 
-        # contact: only points under pressure have a say
+        # only points under pressure have a say
         pressure = contact.pressure.numpy()
-        active = np.flatnonzero(pressure > 0)
-        pressure, area = pressure[active], contact.rest_weight[active]
-        self.stiffness = contact.stiffness.numpy()[active // contact.points]
-        shifted = contact.multiplier.numpy()[active] / self.stiffness - contact.gap.numpy()[active]
-        slope = np.clip(shifted / contact.law.smoothing, 0.0, 1.0)
-        gradient = contact.gap_gradient(active, pattern.equation, pattern.size)
-        self.shape, self.mass = contact.projection(active)  # B, M
-        self.gradient, self.loaded = gradient[:, own], sp.diags(area * slope) @ self.shape  # G, C B
+        self.active = active = np.flatnonzero(pressure > 0)
+        self.area, self.stiffness = contact.rest_weight[active], contact.stiffness.numpy()[active // contact.points]
+        multiplier = contact.multiplier.numpy()[active]
+        self.slope = np.clip((multiplier / self.stiffness - contact.gap.numpy()[active]) / contact.law.smoothing, 0.0, 1.0)
+        self.by_penalty = pressure[active] - self.slope * multiplier  # ∂p/∂(ln k)
+        self.direction = contact.force_direction(active, pattern.equation, pattern.size)
+        self.shape, self.mass = contact.projection(active)
         self.carrying = contact.multipliers[:, 0] > 0
 
-        # derivatives with respect to the logarithms of the moduli and to the approach: of R (driven nodes too), of λ - D M⁻¹ Bᵀ A p
-        own_pressure = pressure - slope * contact.multiplier.numpy()[active]  # ∂p/∂(ln k)
-        softer = 0 if moduli_kpa[0] <= min(moduli_kpa) else 1
-        columns, projected = [], []
-        for body, part in enumerate(self._element_part(pattern.equation, pattern.size)):
-            change = own_pressure if body == softer else np.zeros_like(own_pressure)
-            columns.append(part - gradient.T @ (area * change))
-            projected.append(-self._project(self.shape.T @ (area * change)))
-        columns.append(moved)
-        projected.append(self._project(self.loaded.T @ (self.stiffness * (gradient @ motion))))
-        self.scale = np.array([1.0 / moduli_kpa[0], 1.0 / moduli_kpa[1] if len(moduli_kpa) > 1 else 0.0, 1.0])
-        self.equations = np.array(columns)[:, own]
-        self.multipliers = np.array(projected)
-        # the platen's force [N] = factor · motionᵀR
-        unit = problem.copies * MILLINEWTON
-        self.force_by_state = unit * moved[own]
-        self.force_by_multiplier = -unit * (self.loaded.T @ (gradient @ motion))
-        self.force_by_parameter = unit * np.array(columns) @ motion
+    def pressures(self, w: Array, multipliers: Array) -> Array:
+        """Change of the points' pressures."""
+        return self.slope * (self.shape @ multipliers - self.stiffness * self.gap_changes(w)[self.active])
 
-    def _element_part(self, equation: NDArray[np.int32], size: int) -> tuple[Array, Array]:
-        """E ∂/∂E of the elements' equations, of the gel's and of the object's modulus: the isochoric forces, and +p/κ of the volumes."""
-        problem, solids = self.problem, self.problem.solids
-        displacement, pressure = solids.state()
-        with_pressure = solids.internal_force()[1]
-        solids.set_state((displacement, np.zeros_like(pressure)))
-        force, without, _ = solids.internal_force()
-        solids.set_state((displacement, pressure))
-        both = np.column_stack([force, without - with_pressure])
-        parts = []
-        for is_object in (False, True):
-            chosen = (np.arange(solids.node_count) >= problem.object_nodes[0]) == is_object
-            part = np.zeros(size)
-            used = (equation >= 0) & chosen[:, None]
-            part[equation[used]] = both[used]
-            parts.append(part)
-        return parts[0], parts[1]
+    def loads(self, pressures: Array) -> Array:
+        """R of pressures at the points."""
+        return -(self.direction.T @ (self.area * pressures))
 
-    def _project(self, moment: Array) -> Array:
-        """D M⁻¹."""
-        return np.where(self.carrying, self.mass.solve(moment), 0.0)
+    def project(self, pressures: Array) -> Array:
+        """Multipliers that an augmentation makes of pressures at the points."""
+        return np.where(self.carrying, self.mass.solve(self.shape.T @ (self.area * pressures)), 0.0)
 
-    def _solve(self, right: Array) -> Array:
-        self.solves += 1
-        return self.problem.newton.system.solve(right, None)
+    def forces(self, w: Array, multipliers: Array) -> Array:
+        """Change of R."""
+        change = self.upper @ w + self.upper.T @ w - self.upper.diagonal() * w + self.loads(self.slope * (self.shape @ multipliers))
+        return change if self.rest is None else change + self.rest(w)
 
-    def gradient_of(self, functional: Functional) -> Array:
-        """dJ/dθ of PARAMETERS, (3,): per kPa, kPa and mm."""
-        solids = self.problem.solids
-        by_state = functional.force * self.force_by_state
-        if functional.nodes is not None:
-            assert functional.weights is not None
-            at = solids.equation[functional.nodes, :3]
-            np.add.at(by_state, at[at >= 0], functional.weights[at >= 0] / MM_PER_M)
-        by_multiplier = functional.force * self.force_by_multiplier
+    def _spread(self, own: Array) -> Array:
+        w = np.zeros(self.size)
+        w[self.own] = own
+        return w
 
-        def spread(b: Array) -> Array:
-            """C B M⁻¹ D b."""
-            return self.loaded @ self.mass.solve(np.where(self.carrying, b, 0.0))
+    def answer(self, moved: Array, force: Array, pressures: Array) -> tuple[Array, Array]:
+        """ẇ and λ̇ where driven nodes are moved, and R and the points' pressures change by themselves as given.
 
-        def remainder(b: Array) -> Array:
-            along = spread(b)
-            answer = self._solve(self.gradient.T @ (self.stiffness * along))
-            return b - self.shape.T @ along + self.loaded.T @ (self.gradient @ answer)
+        Raises:
+            SolveError: GMRES did not converge.
+        """
+        system, count = self.problem.newton.system, len(self.own)
 
-        first = self._solve(by_state)
-        right = by_multiplier + self.loaded.T @ (self.gradient @ first)
-        size = len(right)
-        operator = LinearOperator((size, size), matvec=remainder, dtype=np.float64)  # type: ignore[call-arg]
-        b, info = gmres(operator, right, rtol=KRYLOV_TOLERANCE, atol=0.0, restart=KRYLOV_LIMIT, maxiter=1)
-        if info != 0:
-            raise SolveError(f"the adjoint of a press did not converge in {KRYLOV_LIMIT} iterations")
-        a = first - self._solve(self.gradient.T @ (self.stiffness * spread(b)))
-        result = functional.force * self.force_by_parameter - self.equations @ a - self.multipliers @ b
-        return result * self.scale
+        def solve(right: Array) -> Array:
+            self.solves += 1
+            return system.solve(right[self.own], None)
+
+        def preconditioned(both: Array) -> Array:
+            w, multipliers = self._spread(both[:count]), both[count:]
+            rest = self.loads(self.slope * (self.shape @ multipliers))
+            change = solve(rest if self.rest is None else rest + self.rest(w))
+            return np.concatenate([both[:count] + change, multipliers - self.project(self.pressures(-self._spread(change), multipliers))])
+
+        none = np.zeros(len(self.carrying))
+        first = -solve(self.forces(moved, none) + force)
+        right = np.concatenate([first, self.project(pressures + self.pressures(moved + self._spread(first), none))])
+        operator = LinearOperator((len(right), len(right)), matvec=preconditioned, dtype=np.float64)  # type: ignore[call-arg]
+        both, failed = gmres(operator, right, rtol=KRYLOV_TOLERANCE, atol=0.0, restart=KRYLOV_LIMIT, maxiter=1)
+        if failed:
+            raise SolveError(f"the linearised equations of a press did not converge in {KRYLOV_LIMIT} iterations")
+        return moved + self._spread(both[:count]), both[count:]
+
+
+def object_part(problem: PressProblem, equation: NDArray[np.int32], unknowns: int) -> Array:
+    """E ∂/∂E of the elements' equations, of the object's modulus: the isochoric forces, and +p/κ of the volumes."""
+    solids = problem.solids
+    displacement, pressure = solids.state()
+    with_pressure = solids.internal_force()[1]
+    solids.set_state((displacement, np.zeros_like(pressure)))
+    force, without, _ = solids.internal_force()
+    solids.set_state((displacement, pressure))
+    both = np.column_stack([force, without - with_pressure])
+    used = (equation >= 0) & (np.arange(solids.node_count) >= problem.object_nodes[0])[:, None]
+    part = np.zeros(unknowns)
+    part[equation[used]] = both[used]
+    return part
+
+
+def gradients(problem: PressProblem, moduli_kpa: Sequence[float], force: float) -> tuple[Array, Array]:
+    """Derivatives by PARAMETERS of the force (3,) and of the nodes' heights (N, 3) [m], at a converged state of some force [N]."""
+    linearised = Linearised(problem)
+    equation, size = linearised.equation, linearised.size
+    motion = np.zeros(size)  # a millimetre of approach
+    motion[equation[problem.driven, 2]] = -1.0
+
+    def by(moved: Array, own_force: Array, own_pressures: Array) -> tuple[float, Array]:
+        own_force = own_force + linearised.loads(own_pressures)
+        w, multipliers = linearised.answer(moved, own_force, own_pressures)
+        reaction = motion @ (linearised.forces(w, multipliers) + own_force)
+        heights = np.where(equation[:, 2] >= 0, w[equation[:, 2]], 0.0)
+        return problem.copies * MILLINEWTON * reaction, heights / MM_PER_M
+
+    still, unpressed = np.zeros(size), np.zeros(len(linearised.active))
+    of_depth = by(motion, still, unpressed)
+    of_gel = of_object = (0.0, np.zeros(len(equation)))
+    if len(moduli_kpa) > 1:
+        softer = min(moduli_kpa[1:]) < moduli_kpa[0]
+        change, shape = by(still, object_part(problem, equation, size), linearised.by_penalty if softer else unpressed)
+        of_object = change / moduli_kpa[1], shape / moduli_kpa[1]
+        of_gel = -change, -shape
+    of_gel = (force + of_gel[0]) / moduli_kpa[0], of_gel[1] / moduli_kpa[0]
+    return np.array([of_gel[0], of_object[0], of_depth[0]]), np.column_stack([of_gel[1], of_object[1], of_depth[1]])
 
 
 def converge(problem: PressProblem) -> None:
@@ -199,7 +204,7 @@ def converge(problem: PressProblem) -> None:
 
 
 def press_sensitivity(
-    problem: PressProblem, moduli_kpa: Sequence[float], heights: list[tuple[NDArray[np.integer], Array]]
+    problem: PressProblem, moduli_kpa: Sequence[float], heights: Sequence[tuple[NDArray[np.integer], Array]]
 ) -> PressSensitivity:
     """Presses, and differentiates every recorded state.
 
@@ -230,10 +235,9 @@ def press_sensitivity(
             force_gradient.append(np.zeros(len(PARAMETERS)))
             height_gradient.append(np.zeros((len(heights), len(PARAMETERS))))
             return
-        adjoint = Adjoint(problem, moduli_kpa)
-        force_gradient.append(adjoint.gradient_of(Functional(force=1.0)))
-        functionals = [Functional(nodes=nodes, weights=shares[:, None] * [0.0, 0.0, 1.0]) for nodes, shares in heights]
-        height_gradient.append(np.array([adjoint.gradient_of(f) for f in functionals]).reshape(len(heights), len(PARAMETERS)))
+        by_force, by_height = gradients(problem, moduli_kpa, force[-1])
+        force_gradient.append(by_force)
+        height_gradient.append(np.array([shares @ by_height[nodes] for nodes, shares in heights]).reshape(len(heights), len(PARAMETERS)))
 
     with float64_factors():
         approach = run_press(problem, progress=differentiate).approach

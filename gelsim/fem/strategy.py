@@ -8,14 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from gelsim.errors import SolveStatus
 from gelsim.fem.quasistatic import Course
 from gelsim.results import Deformation
-from gelsim.scene.definition import Body, Scene
-from gelsim.shape.outlines import fine_feature
-from gelsim.shape.shapes import sharp_edges
+from gelsim.scene.definition import Scene
 
 
 @dataclass(frozen=True)
@@ -24,8 +20,6 @@ class Try:
 
     contact_points: int = 6
     """Quadrature points on a face."""
-    on_object: bool = False
-    """The points are those of the object's faces and look for the gel's, not the other way round."""
     held: float = 0.0
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     most_wasted: int | None = None
@@ -48,25 +42,13 @@ SOON = 30
 
 PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 
-NUDGE = 0.003
-"""μ that holds a smooth tip in its place which nothing else holds; of the normal force it changes a thousandth or so."""
 
-SLIDING = Try(12, on_object=True)
-"""The first try of a smooth soft object that nothing holds sideways, and of a ring or a block with waves that friction holds: few of the
-gel's points on each of its smaller faces warp these, and their tangent sees its tip slide away (docs/mechanics.md, *The mode that slides*,
-*Presses that stumble*)."""
-
-NUDGED = replace(SLIDING, friction=(NUDGE, STICK), goes_on=True)
-
-
-def tries(
-    scene: Scene, symmetry: frozenset[str], enough: Callable[[Deformation], bool] | None = None
-) -> Generator[tuple[Try, Course], Deformation, Deformation]:
+def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
     """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
 
     Where the approach of a force was found in several tries, all begin again to record the way there.
     """
-    course, best, number, left, turns = Course(), None, 0, ways(scene, symmetry), []
+    course, best, number, left, turns = Course(), None, 0, ways(scene), []
     while left:
         way, *left = left
         if not way.goes_on:
@@ -80,7 +62,7 @@ def tries(
         press = yield way, course
         _note(press, scene, turns, number)
         if course.searched:
-            course.searched, left, best = False, ways(scene, symmetry), None
+            course.searched, left, best = False, ways(scene), None
             continue
         best = further(best, press)
         if not press.lost:
@@ -89,31 +71,11 @@ def tries(
     return best
 
 
-def ways(scene: Scene, symmetry: frozenset[str] = frozenset()) -> list[Try]:
-    """The tries that a scene may have, one after the other until one reaches its end; `symmetry`: the planes that its meshes are cut at."""
+def ways(scene: Scene) -> list[Try]:
+    """The tries that a scene may have, one after the other until one reaches its end."""
     friction = scene.contact.friction_coefficient
-    if isinstance(friction, str) or (scene.object.rigid and friction >= GRIP):
-        return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD]
-    if friction < GRIP:
-        first = [PLAIN]
-        if _slides(scene.object, symmetry):
-            nudged = [replace(SLIDING, most_wasted=SOON), NUDGED] if friction < NUDGE else [SLIDING]
-            first = [*nudged, replace(PLAIN, goes_on=True)]
-        return [*first, replace(HELD, goes_on=True, most_wasted=SOON), HELD, GRIPPED]
-    first = [SLIDING, PLAIN] if _uneven(scene.object) else [PLAIN, replace(PLAIN, on_object=True)]
-    gels, objects = HELD, replace(HELD, on_object=True)
-    on = [replace(way, goes_on=number > 0, most_wasted=SOON) for number, way in enumerate([*first, gels, objects])]
-    return [*on, gels, *(replace(way, goes_on=True, most_wasted=SOON) for way in (objects, gels)), objects]
-
-
-def _slides(body: Body, symmetry: frozenset[str]) -> bool:
-    """Whether a smooth soft object's tip finds its place on the gel by itself where there is hardly any friction to hold it."""
-    return not body.rigid and not symmetry >= {"x", "y"} and not len(sharp_edges(body))
-
-
-def _uneven(body: Body) -> bool:
-    """Whether an object has waves of its own, or is a ring: its small faces bend more than the gel's."""
-    return fine_feature(body) < np.inf
+    slips = not isinstance(friction, str) and friction < GRIP
+    return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD, *([GRIPPED] if slips else [])]
 
 
 def tried(scene: Scene, way: Try) -> Scene:
@@ -129,7 +91,7 @@ def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], 
     """Tells in a press's info which try it is, and which led there: each with the approach [mm] that it went on from."""
     way = turns[-1][0]
     press.info["tried"] = number
-    press.info["contact_points"], press.info["contact_points_on"] = way.contact_points, "object" if way.on_object else "gel"
+    press.info["contact_points"] = way.contact_points
     if len(turns) > 1:
         press.info["went_on_from_mm"] = [round(start, 4) for _, start in turns[1:]]
     # those after a try with held volume have it too

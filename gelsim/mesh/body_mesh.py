@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -32,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import MeshingError, SceneError
-from gelsim.files import whole_file
+from gelsim.files import cache_folder, whole_file
 from gelsim.geometry import (
     AXES,
     TetMesh,
@@ -353,18 +352,11 @@ def _mesh_groups(nodes: Array, boundary: NDArray[np.int32], label: str) -> dict[
 
 
 # ---------------------------------------------------------------------------------------------------------------- cache
-def cache_folder() -> Path:
-    """$GELSIM_CACHE, or the user's cache folder; never inside the repository."""
-    import platformdirs
-
-    return Path(os.environ.get("GELSIM_CACHE") or platformdirs.user_cache_dir("gelsim")) / "meshes"
-
-
 def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, label: str,
                  progress: Progress | None, within: Within = (), drawn_before: int = 0) -> TetMesh:  # fmt: skip
     """`_fill` from the cache, which keeps each draw by its number."""
     key = _key(surface, shape, field, stretch, envelope, within) + (f"-{drawn_before}" if drawn_before else "")
-    path = cache_folder() / f"{key}.npz"
+    path = cache_folder("meshes") / f"{key}.npz"
     mesh = _read(path)
     if mesh is None:
         (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")

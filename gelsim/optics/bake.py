@@ -20,7 +20,6 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -33,6 +32,7 @@ from numpy.typing import NDArray
 
 from gelsim.data import lightfield
 from gelsim.data.lightfield import PACKET, LightField, read_field, write_field
+from gelsim.files import cache_folder
 from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
 from gelsim.optics.isp import develop
@@ -107,10 +107,7 @@ def settle_mode(scene: Scene) -> tuple[Scene, str | None]:
 
 
 def field_path(scene: Scene) -> Path:
-    from platformdirs import user_cache_dir
-
-    folder = Path(os.environ.get("GELSIM_CACHE") or user_cache_dir("gelsim"))
-    return folder / "lightfields" / f"{field_key(scene)}.npz"
+    return cache_folder("lightfields") / f"{field_key(scene)}.npz"
 
 
 def field_key(scene: Scene) -> str:

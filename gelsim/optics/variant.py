@@ -25,6 +25,7 @@ from pathlib import Path
 from types import ModuleType
 
 from gelsim.errors import RenderError
+from gelsim.files import cache_folder
 
 TRIAL_SECONDS = 120
 """A child that has not drawn its 16 x 16 pixels by then (a first CUDA start compiles for half a minute) counts as failed."""
@@ -191,10 +192,7 @@ def _try_variant(variant: str, library: str | None) -> str | None:
 
 
 def _record_path(variant: str, library: str | None) -> Path:
-    from platformdirs import user_cache_dir
-
-    folder = Path(os.environ.get("GELSIM_CACHE") or user_cache_dir("gelsim"))
     facts = [variant, library or "", platform.node(), *(importlib.metadata.version(name) for name in ("mitsuba", "drjit"))]
     if library and os.path.exists(library):
         facts += [os.path.realpath(library), str(os.stat(library).st_mtime_ns)]
-    return folder / "variants" / f"{hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]}.json"
+    return cache_folder("variants") / f"{hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]}.json"

@@ -271,8 +271,8 @@ def bodies(scene: Scene) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any
 def press_sensitivity(scene: Scene, points_mm: Sequence[tuple[float, float]] = ()) -> PressSensitivity:
     """Presses, and says how force and surface answer to small changes of the moduli and of the approach, at every recorded state.
 
-    Each derivative is that of a converged state, by its adjoint (`gelsim.fem.sensitivity`): one factorisation a state, and some ten
-    back-substitutions for the force and for each point.
+    Each derivative is that of a converged state, by its linearised equations (`gelsim.fem.sensitivity`): one factorisation a state, and
+    under twenty back-substitutions for the object's modulus and for the approach, however many points.
 
     Args:
         scene: Without friction (contact.friction_coefficient = 0) and viscosity.

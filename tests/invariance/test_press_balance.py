@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from fem_fixtures import MILLI, TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene
 
+from gelsim.fem.contact import rest_weights
+from gelsim.fem.elements import triangle_quadrature
 from gelsim.fem.problem import PressProblem
+from gelsim.fem.recording import _hats  # pyright: ignore[reportPrivateUsage]
 
 # Newton ends when no node is out of balance by more than `tolerance` of the largest nodal contact force; a hundred nodes on a face add up.
 BALANCE = 100 * TOLERANCE
@@ -38,6 +41,13 @@ def test_platen_contact_and_window_balance() -> None:
     assert np.linalg.norm(platen_force(problem) - force) <= BALANCE * np.linalg.norm(force)
     assert press.penetration.max() < 20e-6
     assert press.min_jacobian.min() > 0.2
+    # the pressure at the gel's nodes, over the areas that they stand for, is what all points carry along their normals
+    contact, faces = problem.contact, problem.gel.groups["coated"]
+    areas = rest_weights(problem.solids.rest, faces, contact.points) @ _hats(triangle_quadrature(contact.points)[0])
+    lumped = np.bincount(faces.ravel(), areas.ravel())
+    nodes = np.unique(faces)
+    carried = float((press.contact_pressure[-1, : len(nodes)] * MILLI * lumped[nodes]).sum())
+    assert carried == pytest.approx(float((contact.rest_weight * contact.pressure.numpy()).sum()), rel=1e-9)
 
 
 def test_sheared_press_balances_with_friction() -> None:

@@ -13,14 +13,14 @@ import pytest
 import warp as wp
 
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem import _problem, solve_batch
+from gelsim.fem import solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, PressProblem
 from gelsim.fem.quasistatic import OVERLAP_MM, Course, Request
-from gelsim.fem.strategy import GRIP, NUDGE, NUDGED, PLAIN, SLIDING, SOON, Try, tries, ways
+from gelsim.fem.strategy import GRIP, SOON, ways
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
@@ -28,15 +28,11 @@ from gelsim.scene.layers import build_scene
 from gelsim.scene.materials import gel_material, object_material
 
 # A press by itself is solved on factors of its own, in a batch on older ones: the multipliers take over from another rough solve, so that
-# the two end elsewhere, as a step may leave OVERLAP_MM either way. And they may keep other faces on the way (from the seventh iteration
-# on), each choice of which has an equilibrium of its own (docs/mechanics.md, "The mode that slides"): nodes lie 6.9 µm apart then, of
-# a soft ball without friction, however small OVERLAP_MM is made. So whole surfaces are compared. Found: 1.03 µm and less.
+# the two end elsewhere, as a step may leave OVERLAP_MM either way. Found: 0.5 µm at a node and less.
 SAME_SURFACE = OVERLAP_MM * 1e-3
-# Each press of a batch stands elsewhere when nearest faces are sought, in float32: a point on the border of two faces may get another of
-# them when the same press is the first of a batch, or the third (5 to 16 of a ball's points an iteration), and other faces have another
-# equilibrium, up to 0.2 µm root mean square and 2.3 µm at a node away on five meshes. So does a neighbour that moves, by the boxes of the
-# one tree that all are sought in, more rarely: a press that keeps its number in the batch while its neighbours change moves by 1e-12 µm and
-# less where no point got another face, and by 1e-5 µm on a mesh where one that touched nothing did, on its way.
+# All presses of a batch get new factors where the pattern that they share grows, by a neighbour's contact too, and rough steps on other
+# factors lead elsewhere within Newton's tolerance: up to 0.11 µm root mean square and 1.2 µm at a node where the five stand in the opposite
+# order. Where patterns grow alike nothing is moved by more than 1e-12 µm.
 UNMOVED = 0.5e-6
 
 
@@ -99,8 +95,7 @@ def test_a_batch_gives_what_presses_by_themselves_give(together: list[Deformatio
         assert press.approach == pytest.approx(single.approach, rel=5e-3)  # a force is met within FORCE_TOLERANCE, 2e-3
         if one.press.force_n is None:
             assert same_force(single, press)
-            apart = np.linalg.norm(press.gel.displacement[-1] - single.gel.displacement[-1], axis=1)
-            assert np.sqrt(np.mean(apart**2)) < SAME_SURFACE
+            assert np.linalg.norm(press.gel.displacement[-1] - single.gel.displacement[-1], axis=1).max() < SAME_SURFACE
     assert together[4].force[-1, 2] == pytest.approx(-0.05, rel=4e-3)
     # planted: the presses do differ from each other by far more
     other = np.linalg.norm(together[0].gel.displacement[-1] - together[3].gel.displacement[-1], axis=1)
@@ -122,17 +117,17 @@ def test_a_press_that_fails_leaves_the_others_alone() -> None:
 
 def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `solve_press` does: those that failed, and one to a force that found no equilibrium on its way. The other is left as it is."""
-    asked: list[list[tuple[bool, int, float, float]]] = []
+    asked: list[list[tuple[int, float, float]]] = []
     patience: list[list[tuple[int, bool]]] = []
 
     def run(problems: list[PressProblem], *, courses: list[Course], progress: Callable[[int, int], None], costs: None) -> list[Deformation]:
-        asked.append([(p.on_object, p.contact.points, p.law.stiffness, p.law.friction) for p in problems])
+        asked.append([(p.contact.points, p.law.stiffness, p.law.friction) for p in problems])
         patience.append([(p.most_wasted, p.options.patient) for p in problems])
         progress(len(problems), len(problems))
         lost, done = (SolveStatus.CONVERGED, PressEnd.LOST), (SolveStatus.CONVERGED, PressEnd.DEPTH)
         stopped = (SolveStatus.MAX_ITERATIONS, PressEnd.LOST)
         first = [(SolveStatus.CONVERGED, PressEnd.LIMIT), stopped, lost, lost]
-        ends = [first, [done, lost], [lost], [lost], [done], [done]][len(asked) - 1]
+        ends = [first, [done, lost, lost], [done, lost], [done]][len(asked) - 1]
         farther = len(asked) * solved.approach
         for course, (_, end) in zip(courses, ends, strict=True):
             if end is PressEnd.LOST:
@@ -145,110 +140,34 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gelsim.fem.batch.run_batch", run)
     bodies = [(one, *stages.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
-    # what friction holds goes on with points on the object, the others with volume held; then all begin at rest
-    plain, held, turned = (False, 6), (False, 12), (True, 6)
-    assert [[one[:2] for one in tries] for tries in asked] == [[plain] * 4, [held] * 2, [turned], [held], [held], [held]]
-    # who has another try to go on from it gives up sooner, each in its own time though they are solved together
-    assert patience == [[(MOST_WASTED, False)] * 2 + [(SOON, False), (MOST_WASTED, False)], [(SOON, False)] * 2, [(SOON, False)],
-                        [(MOST_WASTED, True)], [(SOON, False)], [(MOST_WASTED, True)]]  # fmt: skip
-    assert asked[1][0][2] == asked[0][1][2] != asked[0][0][2]  # the second one's, by the softer body
+    # the next goes on with volume held, those after it begin at rest
+    assert [[one[0] for one in tries] for tries in asked] == [[6] * 4, [12] * 3, [12] * 2, [12]]
+    # what goes on gives up sooner
+    at_rest = (MOST_WASTED, True)
+    assert patience == [[(MOST_WASTED, False)] * 4, [(SOON, False)] * 3, [at_rest] * 2, [at_rest]]
+    assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
     assert [press.info["tried"] for press in presses] == [1, 2, 3, 4]
     assert [press.info["contact_points"] for press in presses] == [6, 12, 12, 12]
-    assert [press.info.get("went_on_from_mm") for press in presses] == [None, [0.5], [0.5, 0.5], None]
+    assert [press.info.get("went_on_from_mm") for press in presses] == [None, [0.5], None, None]
     # what sticks slides at a large friction then, what nothing holds has some the last time; both say so, and since when
-    assert [[one[3] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, 0.1], [GRIP], [0.1], [GRIP], [GRIP]]
+    assert [[one[2] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, GRIP, 0.1], [GRIP, 0.1], [GRIP]]
     assert [press.info["friction_coefficient"] for press in presses] == [0.0, 10.0, GRIP, GRIP]
     said = ["\n".join(press.info.get("warnings", [])) for press in presses]  # type: ignore[arg-type]
     assert ["no equilibrium was found on its way: solved with" in one for one in said] == [False, True, False, True]
-    assert ["from 0.5 mm on" in one for one in said] == [False, True, True, False]
+    assert ["from 0.5 mm on" in one for one in said] == [False, True, False, False]
     assert told[-1] == (4, 4)
 
 
-def test_points_on_the_object_are_for_what_friction_holds() -> None:
-    def sides(body: dict[str, object], friction: float | str = 0.5) -> list[bool]:
-        return [way.on_object for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))]
-
-    assert sides({"shape": "corner"}) == [False, True] * 4
-    # one with waves of its own begins with its points
-    assert sides({"shape": "rough"}) == sides({"shape": "torus"}) == [True, False, False, True, False, True, False, True]
-    # a rigid one's faces are as coarse as its shape lets them be
-    assert not any(sides({"shape": "corner", "rigid": True}) + sides({"shape": "corner"}, 0.1) + sides({"shape": "corner"}, "stick"))
-
-
-def test_a_smooth_object_that_may_slide_begins_with_its_own_points() -> None:
-    def tries(body: dict[str, object], friction: float = 0.0, planes: str = "") -> list[Try]:
-        return ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}), frozenset(planes))
-
-    def first(body: dict[str, object], friction: float = 0.0, planes: str = "") -> Try:
-        return tries(body, friction, planes)[0]
-
-    assert first({"shape": "hemisphere"}, NUDGE) == first({"shape": "hemisphere"}, 0.2, planes="x") == SLIDING
-    # without any friction it soon has a little
-    assert tries({"shape": "hemisphere"})[:2] == [replace(SLIDING, most_wasted=SOON), NUDGED]
-    assert NUDGED not in tries({"shape": "hemisphere"}, NUDGE) + tries({"shape": "edge"}) + tries({"shape": "hemisphere"}, planes="xy")
-    # mirror planes hold it, or friction; a sharp edge's points change face without end; a rigid one does not warp
-    held = first({"shape": "hemisphere"}, planes="xy"), replace(first({"shape": "hemisphere"}, GRIP), most_wasted=None)
-    assert {*held, first({"shape": "edge"}), first({"shape": "hemisphere", "rigid": True})} == {PLAIN}
-
-
-def test_a_nudge_is_less_than_a_thousandth_of_the_force() -> None:
-    def force(friction: float) -> float:
-        press = {"depth_mm": 1.0, "force_n": "none", "frames": 4, "symmetry": "mirror"}
-        body = {"shape": "hemisphere", "youngs_modulus_kpa": 200.0}
-        one = build_scene({"gel": {"profile": "flat"}, "object": body, "press": press, "contact": {"friction_coefficient": friction}})
-        return float(-stages.press(one).force[-1, 2])
-
-    free = force(0.0)
-    assert abs(force(NUDGE) / free - 1) < 1e-3
-    assert force(10 * NUDGE) / free - 1 > 1e-3, "the bound would be met by anything"
-
-
-@pytest.mark.parametrize(
-    ("lost", "friction", "where"), [(1, NUDGE, "from 0.4 mm on"), (2, 0.0, "from 0.4 to 0.6 mm"), (3, 0.0, "from 0.4 to 0.6 mm")]
-)
-def test_a_nudge_is_told_of(lost: int, friction: float, where: str) -> None:
-    """Also where a later try, without it, gets to the end."""
-    frictionless = build_scene({"object": {"shape": "hemisphere"}, "contact": {"friction_coefficient": 0.0}})
-    some = alone(scene(200.0))
-    turns = tries(frictionless, frozenset())
-    way, course = next(turns)
-    for number in range(lost):
-        course.before = cast(Any, SimpleNamespace(approach=(0.4 + 0.2 * number) * 1e-3))
-        way, course = turns.send(replace(some, info={"ended_by": PressEnd.LOST}))
-    with pytest.raises(StopIteration) as end:
-        turns.send(replace(some, info={"ended_by": PressEnd.DEPTH}))
-    press = end.value.value
-    assert press.info["friction_coefficient"] == friction
-    said = [warning for warning in press.info["warnings"] if "friction" in warning]
-    assert len(said) == 1 and f"solved with {NUDGE:g} instead {where}" in said[0]
-    assert len(press.info["warnings"]) == (2 if way.held else 1)
-
-
-def test_what_remembers_has_all_its_patience_in_one_try() -> None:
-    """Nothing goes on from it."""
-    body = {"shape": "hemisphere", "youngs_modulus_kpa": 200.0}
-    for gel, patience in (({}, SOON), ({"prony_g": [0.2], "prony_tau_s": [0.5]}, MOST_WASTED)):
-        one = build_scene(
-            {"gel": gel, "object": body, "contact": {"friction_coefficient": 0.0}, "fidelity": "fast", "press": {"symmetry": "none"}}
-        )
-        assert _problem(ways(one)[0], one, *stages.bodies(one), "cpu").most_wasted == patience
-
-
 def test_who_goes_on_and_how_long_each_may_fail() -> None:
-    """Tries that go on, and what they go on from where there are several, end soon, but those of smooth bodies with little friction; those
-    that begin at rest as the last do not, the first of which two others may go on from."""
+    """What begins at rest has all its patience; what little friction holds has one try more."""
 
-    def tries(body: dict[str, object], friction: float | str) -> list[tuple[bool, int | None]]:
-        return [
-            (way.goes_on, way.most_wasted) for way in ways(build_scene({"object": body, "contact": {"friction_coefficient": friction}}))
-        ]
+    def tries(friction: float | str) -> list[tuple[bool, int | None]]:
+        scene = build_scene({"object": {"shape": "hemisphere"}, "contact": {"friction_coefficient": friction}})
+        return [(way.goes_on, way.most_wasted) for way in ways(scene)]
 
     rest, on = (False, None), (True, SOON)
-    assert tries({"shape": "hemisphere"}, GRIP) == tries({"shape": "wave"}, GRIP) == [(False, SOON), on, on, on, rest, on, on, rest]
-    assert tries({"shape": "hemisphere"}, 0.1) == [rest, (True, None), on, rest, rest]
-    assert tries({"shape": "hemisphere"}, 0.0) == [(False, SOON), (True, None), (True, None), on, rest, rest]
-    for held in (tries({"shape": "hemisphere", "rigid": True}, GRIP), tries({"shape": "hemisphere"}, "stick")):
-        assert held == [rest, on, rest]
+    assert tries(GRIP) == tries("stick") == [rest, on, rest]
+    assert tries(0.0) == tries(0.9 * GRIP) == [rest, on, rest, rest]
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")

@@ -63,8 +63,9 @@ def test_failure_as_a_value(problem: PressProblem) -> None:
     assert problem.support_force()[2] >= -press.force[-1, 2] * (1 - 100 * TOLERANCE)
 
 
-def test_a_search_for_a_force_tells_how_far_it_is() -> None:
+def test_a_search_for_a_force_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Minutes, where a body hardly finds its way."""
+    monkeypatch.setattr(quasistatic, "LONGEST_STEP", 0.25e-3)
     scene = ball_scene(0.6, 5)
     scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.3))
     gel, told = flat_gel(1.0, 4.0, 4, 6.0, 2.4), []
@@ -107,8 +108,8 @@ def test_no_fold_is_left_under_a_ball(finer: float) -> None:
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_after_a_failure_steps_are_those_of_the_search_for_a_force(monkeypatch: pytest.MonkeyPatch, fails: bool) -> None:
-    """Two states 0.6 mm apart: in a step each, and where the first fails in 0.25 mm and what is left, however easy those are."""
+def test_steps_begin_short_and_double_while_they_are_easy(monkeypatch: pytest.MonkeyPatch, fails: bool) -> None:
+    """Two states 0.6 mm apart: from 0.25 mm, and half of that where the first fails, twice as long after two steps, and what is left."""
     attempt, steps = quasistatic._March._attempt, []  # pyright: ignore[reportPrivateUsage]
 
     def first_fails(march, here, new, seconds=0.0):  # type: ignore[no-untyped-def]
@@ -121,7 +122,7 @@ def test_after_a_failure_steps_are_those_of_the_search_for_a_force(monkeypatch: 
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     assert press.approach / MM == pytest.approx([0.0, 0.6, 1.2])
     assert press.info["steps_halved"] == fails
-    assert steps == ([0.6, 0.25, 0.25, 0.1, 0.25, 0.25, 0.1] if fails else [0.6, 0.6])
+    assert steps == ([0.25, 0.125, 0.125, 0.25, 0.1, 0.5, 0.1] if fails else [0.25, 0.25, 0.1, 0.5, 0.1])
 
 
 @pytest.mark.parametrize(
@@ -181,7 +182,7 @@ def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.
 
     monkeypatch.setattr(Newton, "solve", astray)
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
-    assert lost[0] == 2 and press.info["steps_halved"] == 0
+    assert lost[0] == 3 and press.info["steps_halved"] == 0
     assert press.force == pytest.approx(expected.force, rel=1e-9, abs=1e-9)
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
 
@@ -217,33 +218,6 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, abs=quasistatic.OVERLAP_MM * MM)
 
 
-def test_a_later_try_marches_carefully_and_then_as_always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its first march, in steps of CAREFUL_STEP, finds no second one; its second, from rest again, is that of a first try to the digit."""
-    scene = ball_scene(0.6, 3, radius_mm=5.0)
-    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
-    expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
-    run, solve, longest = quasistatic._March.run, Newton.solve, []  # pyright: ignore[reportPrivateUsage]
-
-    def told(march, spacing, states, progress, step, before):  # type: ignore[no-untyped-def]
-        longest.append(step)
-        return run(march, spacing, states, progress, step, before)
-
-    def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
-        report = solve(newton, reach, tolerance, solving)
-        gone = solving and len(longest) == 1 and newton.solids.state()[0].min() * MM < -1.01 * quasistatic.CAREFUL_STEP
-        return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
-
-    monkeypatch.setattr(quasistatic._March, "run", told)  # pyright: ignore[reportPrivateUsage]
-    monkeypatch.setattr(Newton, "solve", astray)
-    problem = problem_of(scene, gel, rigid_body(scene, gel))
-    problem.held = 1.0
-    press = run_press(problem)
-    assert longest == [quasistatic.CAREFUL_STEP, pytest.approx(0.3e-3)]
-    assert press.status is SolveStatus.CONVERGED and press.info["ended_by"] == PressEnd.DEPTH
-    assert press.force == pytest.approx(expected.force, rel=1e-9, abs=1e-9)
-    assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
-
-
 def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
     """Steps that cannot converge are halved until more iterations have failed than its problem allows."""
     scene = ball_scene(0.3, 2, radius_mm=5.0)
@@ -256,7 +230,8 @@ def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
         press = run_press(problem, throw=False)
         assert press.status is SolveStatus.MAX_ITERATIONS
         halved.append(press.info["steps_halved"])
-    smallest = 1 + round(np.log2(1 / quasistatic.SMALLEST_STEP))
+    shortest = quasistatic.SMALLEST_STEP * 0.3e-3
+    smallest = 1 + int(np.log2(quasistatic.FIRST_STEP / shortest))
     assert halved == [3, smallest], "three iterations each: the third step is one too many of seven"
 
 
@@ -303,9 +278,9 @@ STICKY = build_scene({
 """A soft ball with friction, sheared."""
 
 
-def made_sticky(on_object: bool = False, held: float = 0.0) -> PressProblem:
+def made_sticky(contact_points: int = 12, held: float = 0.0) -> PressProblem:
     materials = gel_material(STICKY), object_material(STICKY)
-    return PressProblem(STICKY, *stages.bodies(STICKY), *materials, "cpu", on_object=on_object, contact_points=12, held=held)
+    return PressProblem(STICKY, *stages.bodies(STICKY), *materials, "cpu", contact_points=contact_points, held=held)
 
 
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
@@ -327,18 +302,18 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
 
 
 @pytest.mark.parametrize("batched", [False, True])
-@pytest.mark.parametrize("on_object", [False, True])
-def test_a_lost_press_goes_on_by_other_points(on_object: bool, batched: bool) -> None:
-    """A soft ball with friction, lost at a quarter of its way, is led on with contact's points on the other surface, and is then what it is
-    by these alone, but for what the two differ by at this coarseness."""
-    begun, whole = goes_on(made_sticky(not on_object), made_sticky(on_object), 0.21, batched)
+@pytest.mark.parametrize("points", [6, 12])
+def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> None:
+    """A soft ball with friction, lost at a quarter of its way, is led on with twice or half the contact points, and is then what it is with
+    these alone, but for what the two differ by at this coarseness."""
+    begun, whole = goes_on(made_sticky(18 - points), made_sticky(points), 0.21, batched)
     assert begun.approach == pytest.approx([0.0, 0.2 * MM])
     assert whole.force[:2] == pytest.approx(begun.force), "what was recorded before stays"
-    alone = run_press(made_sticky(on_object))
+    alone = run_press(made_sticky(points))
     off = np.abs(whole.force - alone.force).max(axis=1)[1:] / np.abs(alone.force[1:, 2])
     # The first one is what the two ways differ by. A third of the shear was there when the points changed, 7 % of the next state's normal
-    # force: what sticks keeps its places. (Found: 0.007, then at most 0.006.)
-    assert off[0] < 0.02 and off[1:].max() < 2 * off[0]
+    # force: what sticks keeps its places. (Found: 0.007, then at most 0.002.)
+    assert off[0] < 0.02 and off[1:].max() < off[0]
     assert alone.force[1, 0] > 0.25 * alone.force[-1, 0] and alone.force[1, 0] > 5 * off[0] * -alone.force[2, 2]
     energy = whole.info["energy"]
     assert isinstance(energy, dict) and abs(energy["drift"]) < 0.01  # found: 0.001
@@ -460,11 +435,11 @@ def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pyt
 
 @pytest.mark.parametrize("enough_mm", [None, 0.3, 3.0])
 def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float | None, deformation: Deformation) -> None:
-    """Its tries that go on it has: of this soft object with friction three, and then those from rest, if it had to."""
+    """Its tries that go on it has: one, and then one from rest, if it had to."""
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
-    tries, made = strategy.tries(scene, frozenset("xy"), enough), []
+    tries, made = strategy.tries(scene, enough), []
     way, course = next(tries)
     with pytest.raises(StopIteration) as end:
         while True:
@@ -472,14 +447,14 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
             course.before = course.before or SimpleNamespace(approach=0.0)  # type: ignore[assignment]
             way, course = tries.send(lost)
     assert end.value.value is lost
-    assert made == [False, True, True, True] + ([] if enough_mm == 0.3 else [False, True, True, False])
+    assert made == [False, True] + ([] if enough_mm == 0.3 else [False])
 
 
 def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(deformation: Deformation) -> None:
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
     there = replace(deformation, info={"ended_by": PressEnd.FORCE})
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
-    tries = strategy.tries(scene, frozenset("xy"), lambda _: True)
+    tries = strategy.tries(scene, lambda _: True)
     _, course = next(tries)
     course.before = SimpleNamespace(approach=0.0)  # type: ignore[assignment]
     way, _ = tries.send(lost)

@@ -13,20 +13,22 @@ numbers are small (hundreds of points): vectors in NumPy, no kernels.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from gelsim.fem.contact import FROZEN, OVERHANG, ContactLaw, SurfaceContact
+from gelsim.fem.contact import ContactLaw, SurfaceContact
 from gelsim.fem.pattern import PairPattern
 from gelsim.fem.planar.elements import EDGE_CURVATURE, edge_gradient, edge_quadrature, edge_shape
 
 Array = NDArray[np.float64]
 
-NEAR = 0.1
-"""[mm] within which a point keeps its edge."""
+NEAR, OVERHANG = 0.1, 0.1
+"""Within which a point keeps its edge [mm], and how far beside it (in ξ): neighbouring edges meet at a slight kink."""
 _STEPS, _CLAMPED_STEPS = 3, 6
 """Gauss-Newton steps to the closest point of an edge, from that of the last iterate and from its middle."""
 
@@ -95,7 +97,7 @@ class EdgeContact(SurfaceContact):
         return edge_shape(xi[:, 0])
 
     # ------------------------------------------------------------------------------------------------------------ closest points
-    def update(self, x: wp.array, reach: float, freeze: bool = False) -> None:
+    def update(self, x: wp.array, reach: float) -> None:
         flat = x.numpy()[:, [0, 2]]
         place = np.einsum("pn,pni->pi", self._m, flat[self._slave])
         face, xi, gap = self.face.numpy(), self.place.numpy(), self.gap.numpy()
@@ -103,10 +105,7 @@ class EdgeContact(SurfaceContact):
 
         keep = np.flatnonzero((face >= 0) & (np.abs(gap) < NEAR))
         found, offset = _feet(place[keep], edges[face[keep]], xi[keep, 0], clamp=False)
-        # one that was put on its edge's end lies beside it, and a curved edge goes on as a parabola (contact_kernels.closest_points)
-        beside = (xi[keep, 0] == 0.0) | (xi[keep, 0] == 1.0)
-        overhang = np.where(freeze & ~beside, FROZEN, OVERHANG)
-        stays = (found > -overhang) & (found < 1 + overhang) & (np.linalg.norm(offset, axis=1) < NEAR)
+        stays = (found > -OVERHANG) & (found < 1 + OVERHANG) & (np.linalg.norm(offset, axis=1) < NEAR)
         keep, found = keep[stays], found[stays]
         xi[keep, 0] = found
 
@@ -224,6 +223,34 @@ class EdgeContact(SurfaceContact):
         stiff *= (self.rest_weight[held] * self._kt[held] * cut)[:, None, None]
         block = np.einsum("pa,pb,pij->paibj", share, share, stiff).reshape(len(held), 12, 12)
         return self._scatter(pattern, values, nodes, block)
+
+    def remainder(self, x: wp.array, equation: wp.array, unknowns: int) -> Callable[[Array], Array] | None:
+        factors = self.slip_coupling(equation.numpy(), unknowns)
+        return None if factors is None else lambda v: factors[0].T @ (factors[1] @ v)
+
+    def slip_coupling(self, equation: NDArray[np.int32], unknowns: int) -> tuple[sp.csr_matrix, sp.csr_matrix] | None:
+        """The part of the tangent by which pressure drives slipping friction, ∂(μp)/∂u, as factors (B_t, B_n) of B_tᵀ B_n.
+
+        None where no point slips. Uses the state of the last `add_force`.
+        """
+        law = self.law
+        if law.friction <= 0.0:
+            return None
+        pressure, traction = self.pressure.numpy(), self.traction.numpy()
+        size = np.linalg.norm(traction, axis=1)
+        slipping = np.flatnonzero((pressure > 0) & (size > 0) & (size >= law.friction * pressure * (1 - 1e-9)))
+        if len(slipping) == 0:
+            return None
+        face, k = self.face.numpy()[slipping], self.stiffness.numpy()[slipping // self.points]
+        s = self.multiplier.numpy()[slipping] / k - self.gap.numpy()[slipping]
+        slope = k * np.clip(s / law.smoothing, 0.0, 1.0)
+        direction = -traction[slipping] / size[slipping, None]
+        normal = self.normal.numpy()[slipping]
+        places = self.anchor_face.numpy()[slipping], self.anchor_place.numpy()[slipping]
+        along = self._relative_motion(slipping, direction, *places, equation, unknowns)
+        weight = self.rest_weight[slipping] * law.friction * slope
+        closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.place.numpy()[slipping], equation, unknowns)
+        return along, closing
 
     def _scatter(self, pattern: PairPattern, values: wp.array, nodes: NDArray[np.int32], block: Array) -> bool:
         """Adds symmetric blocks (K, 12, 12) of the in-plane displacements of nodes (K, 6); False where the pattern lacks a pair."""
