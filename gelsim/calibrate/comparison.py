@@ -136,7 +136,7 @@ def _presses(scene: Scene, photos: Photos, dents: DentFamily | None, device: str
     given = np.isfinite(photos.hints[:, :2]).all(axis=1)
     found[given, :2] = seen_places(scene, photos.hints[given, :2]) / MM
     found[:, 2] = photos.hints[:, 2]
-    missing = np.isnan(found).any(axis=1)
+    missing = np.asarray(np.isnan(found).any(axis=1), bool)
     for index in np.flatnonzero(missing & np.isnan(photos.balls_mm)):
         raise SceneError(
             f"presses.csv: {photos.files[index]}: col_px, row_px and depth_mm of a press that is not a ball's must be given: only a "
@@ -164,7 +164,8 @@ def _search(scene: Scene, photos: Photos, known: Array, dents: DentFamily, devic
     wide, high = photos.size
     size = min(wide, FOUND_WIDTH), round(min(wide, FOUND_WIDTH) * high / wide)
     seen = np.array([resized(picture, size) for picture in photos.pictures])
-    rest, counted = resized(photos.no_contact, size), resized(np.repeat(255.0 * photos.counted[..., None], 3, axis=2), size)[..., 0] > 254
+    mask = np.repeat(np.where(photos.counted, 255.0, 0.0)[..., None], 3, axis=2)
+    rest, counted = resized(photos.no_contact, size), resized(mask, size)[..., 0] > 254
     contacts, sure = start.find_contacts(rest, seen, counted)
     for index in np.flatnonzero(~sure):
         raise SceneError(f"{photos.files[index]}: no contact can be seen in it: give col_px, row_px and depth_mm in presses.csv")

@@ -97,7 +97,7 @@ def _bilinear(table: Array, row: Array, column: Array) -> Array:
     return below * (1 - s) + above * s
 
 
-def effective_radius(ball_mm: Array, curvature: float) -> Array:
+def effective_radius(ball_mm: Array | float, curvature: float) -> Array:
     """R' [mm] of balls on a dome of curvature 1/R_d [1/mm]."""
     return 1.0 / (1.0 / np.asarray(ball_mm, np.float64) + curvature)
 

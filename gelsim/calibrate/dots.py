@@ -84,7 +84,10 @@ def marker_grid(no_contact: Array, place: Callable[[Array], Array], mm_per_px: f
     distances, neighbours = KDTree(centres).query(centres, k=2)
     toward = centres[np.asarray(neighbours)[:, 1]] - centres
     turn = np.angle(np.median(np.exp(4j * np.arctan2(toward[:, 1], toward[:, 0])).view(float).reshape(-1, 2), axis=0) @ [1, 1j]) / 4
-    middle, step = _grid(centres[:, 0] + 1j * centres[:, 1], float(np.median(np.asarray(distances)[:, 1])) * complex(np.exp(1j * turn)))
+    middle, step = _grid(
+        np.asarray(centres[:, 0] + 1j * centres[:, 1], np.complex128),
+        float(np.median(np.asarray(distances)[:, 1])) * complex(np.exp(1j * turn)),
+    )
     pitch, radius = abs(step), float(np.sqrt(np.median(areas[usual]) / np.pi)) * mm_per_px
     tilt = (np.degrees(np.angle(step)) + 45.0) % 90.0 - 45.0
     # The grid's point that is nearest to the gel's centre.
