@@ -57,6 +57,12 @@ examples:
   gelsim render --sensor out/mine/sensor.toml --shape hemisphere --rigid --radius-mm 2 --depth-mm 0.8
 
 What the folder must hold and how far to trust the result: docs/calibrate.md."""
+COMPARE_EXAMPLES = """\
+examples:
+  gelsim compare --sensor out/mine/sensor.toml --photos photos/ --out out/compare
+  gelsim compare --frames out/demo --photos recording/           pictures drawn before, paired with photographs by their names
+
+presses.csv says what was pressed, where and how deep; of balls place and depth may be missing. docs/calibrate.md."""
 DUROMETER_EXAMPLES = """\
 examples:
   gelsim durometer --shore 30                       the modulus that reads 00-30
@@ -161,6 +167,16 @@ def _parser() -> Parser:
     calibrate.add_argument("--force", action="store_true", help="write over earlier files of these names")
     calibrate.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to render (default: auto)")
     _add_output_flags(calibrate, _calibrate)
+    compare = commands.add_parser("compare", help="photographs beside a sensor's pictures of the same presses", epilog=COMPARE_EXAMPLES)
+    compare.add_argument("--photos", required=True, metavar="DIR", help="pictures, photos.toml and presses.csv")
+    compare.add_argument("--sensor", metavar="NAME", help="a sensor preset, or the path of a sensor file")
+    compare.add_argument("--frames", metavar="DIR", help="instead: a result folder, or a folder of pictures")
+    compare.add_argument("--friction", default="0.8", metavar="MU", help="between object and gel, 0 … 10 or stick (default: 0.8)")
+    compare.add_argument("--mode", choices=("path", "direct", "baked"), default="path", help="of the renderer (default: path)")
+    compare.add_argument("--out", metavar="DIR", default="out/compare", help="where compare.png, .csv and report.json go")
+    compare.add_argument("--force", action="store_true", help="write over earlier files of these names")
+    compare.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+    _add_output_flags(compare, _compare)
     durometer = commands.add_parser("durometer", help="the virtual durometer: Shore reading to modulus and back", epilog=DUROMETER_EXAMPLES)
     wanted = durometer.add_mutually_exclusive_group()
     wanted.add_argument("--modulus-kpa", type=float, metavar="E", help="Young's modulus of the block [kPa]: what does it read?")
@@ -413,6 +429,26 @@ def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
         )
     if not options.json:
         print(calibrate.summary(report))
+    return report
+
+
+def _compare(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim.calibrate import comparison
+
+    with progress_bars() as progress:
+        report = comparison.compare(
+            Path(options.photos),
+            Path(options.out),
+            sensor=options.sensor,
+            frames=Path(options.frames) if options.frames else None,
+            friction=_friction(options.friction),
+            mode=options.mode,
+            force=options.force,
+            device=options.device,
+            progress=progress,
+        )
+    if not options.json:
+        print(comparison.summary(report))
     return report
 
 

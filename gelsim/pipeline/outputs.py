@@ -75,7 +75,7 @@ class ResultFolder:
             target = self.path / name
             shutil.rmtree(target) if target.is_dir() and not target.is_symlink() else target.unlink(missing_ok=True)
 
-    def write(self, name: str, writer: Callable[[Path], None]) -> Path:
+    def write(self, name: str, writer: Callable[[Path], object]) -> Path:
         """Lets `writer` make a file or a folder under a temporary name and renames it to `name` when it is whole."""
         target = self.path / name
         partial = target.with_name(f".{target.stem}-{os.getpid()}.partial{target.suffix}")

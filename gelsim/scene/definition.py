@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from gelsim.errors import MaterialError, SceneError, within
 from gelsim.scene import materials
 from gelsim.scene.fields import convert, field_types, share, which
-from gelsim.scene.limits import LIMITS, SHADING_DEGREES, check_limits
+from gelsim.scene.limits import LIMITS, REST_TERMS, SHADING_DEGREES, check_limits
 from gelsim.scene.measured_path import measured_path
 from gelsim.scene.shape_table import SHAPES
 
@@ -296,6 +296,14 @@ class Camera:
     rest: str | None = None
     """A photograph without contact (PNG, JPG): frames are this picture, changed by what a press changes (docs/optics.md). It shows markers
     and grain of its own; [markers] then only says where their centres are."""
+    rest_smooth: tuple[float, ...] = ()
+    """In place of a photograph a smooth rest, with [markers] painted on it: exponents of red, green and blue for each of 1, u, v, u^2, uv,
+    v^2, ... of a level over 255 (docs/optics.md)."""
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether the picture without contact is given, and not the lights' affair."""
+        return self.rest is not None or bool(self.rest_smooth)
 
 
 @dataclass(frozen=True)
@@ -356,11 +364,15 @@ class Coating:
 @dataclass(frozen=True)
 class Markers:
     layout: str = "grid"
-    """"grid" | "none"."""
+    """"grid" | "random": as many as a grid has, no two nearer than 2.5 radii | "list": those of places | "none"."""
+    places: str | None = None
+    """Of layout "list": a CSV file of x_mm, y_mm and, if wanted, radius_mm."""
     pitch_mm: float = 1.3
     radius_mm: float = 0.2
     tilt_deg: float = 0.0
     """Of the rows, about z."""
+    offset_mm: Vec2 = (0.0, 0.0)
+    """Of the grid from the gel's centre."""
     jitter_mm: float = 0.0
     """Standard deviation of a marker's place in x and in y."""
     size_jitter: float = 0.0
@@ -466,7 +478,10 @@ def _check(scene: Scene) -> None:
         if abs(offset) > 0.5 * size:
             raise SceneError(f"press.offset_mm = {offset:g} mm along {axis}: the gel ends at {0.5 * size:g} mm from its centre")
     _check_optics(scene)
-    if scene.markers.layout != "none" and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
+    if (scene.markers.layout == "list") != (scene.markers.places is not None):
+        given = f"markers.layout = {scene.markers.layout!r} and markers.places = {scene.markers.places!r}"
+        raise SceneError(f'{given}: layout "list" needs a file, the others have none')
+    if scene.markers.layout not in ("none", "list") and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
         raise SceneError(
             f"markers.radius_mm = {scene.markers.radius_mm:g} mm: markers overlap unless it is less than half of "
             f"markers.pitch_mm = {scene.markers.pitch_mm:g} mm"
@@ -550,6 +565,12 @@ def _check_optics(scene: Scene) -> None:
     if shading and (shading % 3 or shading // 3 not in SHADING_DEGREES):
         allowed = ", ".join(str(3 * count) for count in SHADING_DEGREES)
         raise SceneError(f"camera.shading has {shading} numbers: red, green and blue of every term of a degree are {allowed}, or none")
+    smooth = len(scene.camera.rest_smooth)
+    if smooth not in (0, *REST_TERMS):
+        allowed = ", ".join(str(count) for count in REST_TERMS)
+        raise SceneError(f"camera.rest_smooth has {smooth} numbers: red, green and blue of every term of a degree are {allowed}, or none")
+    if smooth and scene.camera.rest is not None:
+        raise SceneError(f"camera.rest = {scene.camera.rest!r} and camera.rest_smooth exclude each other: give one of them")
     for index, light in enumerate(scene.lights.lights):
         with within(which(scene.lights.lights, index)):
             _check_light(light)

@@ -20,13 +20,15 @@ CHOICES: dict[str, Collection[str]] = {
     "object.law": materials.LAWS,
     "press.touch_at": ("apex", "centre"),
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
-    "markers.layout": ("grid", "none"),
+    "markers.layout": ("grid", "random", "list", "none"),
     "camera.tone": ("srgb", "linear"),
     "render.mode": ("baked", "path", "direct", "auto"),
 }
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
 """Of files that object.mesh may name."""
+REST_TERMS = {3 * (degree + 1) * (degree + 2) // 2: degree for degree in range(4)}
+"""Numbers of camera.rest_smooth, and the degree that they are of."""
 SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
 """Terms of a polynomial over the picture without its constant -> its degree."""
 
@@ -102,6 +104,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "camera.full_well": (0, 1e7),
     "camera.read_noise": (0, 1),
     "camera.shading": (-10, 10),
+    "camera.rest_smooth": (-10, 10),
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
     "lights.gel_ior": (1, 3),
@@ -123,6 +126,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "markers.pitch_mm": (0.2, 50),
     "markers.radius_mm": (0.02, 10),
     "markers.tilt_deg": (-180, 180),
+    "markers.offset_mm": (-50, 50),
     "markers.jitter_mm": (0, 10),
     "markers.size_jitter": (0, 1),
     "markers.outline_jitter": (0, 1),

@@ -26,7 +26,7 @@ def test_defaults_are_those_of_the_paper() -> None:
     assert (scene.camera.resolution, scene.camera.field_mm) == ((960, 720), (18.4, 13.8))
 
 
-@pytest.mark.parametrize("name", ["digit", "fingertip2017", "gelsight_mini", "taxim"])
+@pytest.mark.parametrize("name", ["digit", "fingertip2017", "gelsight_mini", "gelsight_mini_markers", "taxim"])
 def test_presets_load(name: str) -> None:
     assert name in preset_names()
     assert build_scene({"sensor": {"preset": name}}).lights.lights
