@@ -76,35 +76,6 @@ def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
     return value
 
 
-def parse_text(text: str | list[str], hint: typing.Any, name: str) -> typing.Any:
-    """What was typed as a value for a field of this type; `convert` checks it later.
-
-    Numbers that do not parse stay text, so that the check can name them.
-    """
-    if typing.get_origin(hint) is tuple:
-        words = [text] if isinstance(text, str) else text
-        inner = typing.get_args(hint)[0]
-        if dataclasses.is_dataclass(inner):
-            try:
-                return tomllib.loads("value = " + " ".join(words))["value"]
-            except tomllib.TOMLDecodeError as error:
-                raise SceneError(f"{name}: expected a TOML list of tables ({error})") from None
-        if len(words) == 1:
-            words = words[0].replace(",", " ").split() if inner is float else words[0].replace(",", " ").replace("x", " ").split()
-        return [parse_text(word, inner, name) for word in words]
-    assert isinstance(text, str)
-    kinds = hint.__args__ if isinstance(hint, types.UnionType) else (hint,)
-    if bool in kinds and text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    for kind in (int, float):
-        if kind in kinds:
-            try:
-                return kind(text)
-            except ValueError:
-                pass
-    return text
-
-
 def _item(items: typing.Sequence[typing.Any], index: int, hint: typing.Any, name: str) -> typing.Any:
     with within(which(items, index, whats(name))):
         return convert(items[index], hint, name)
