@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gelsim.data.episodes import load_dataset
     from gelsim.errors import GelsimError, SceneError, SolveError
     from gelsim.live.sensor import LiveFrame, LiveSensor
+    from gelsim.pipeline.poses import press_many
     from gelsim.pipeline.stages import press, press_batch, press_sensitivity, render, simulate
     from gelsim.results import Deformation, Episode, Frame, Membrane, PressSensitivity
     from gelsim.scene.definition import Scene
@@ -37,6 +38,7 @@ _HOMES = {
     "load_scene": "gelsim.scene.layers",
     "press": "gelsim.pipeline.stages",
     "press_batch": "gelsim.pipeline.stages",
+    "press_many": "gelsim.pipeline.poses",
     "press_sensitivity": "gelsim.pipeline.stages",
     "render": "gelsim.pipeline.stages",
     "simulate": "gelsim.pipeline.stages",
@@ -58,6 +60,7 @@ __all__ = [
     "load_scene",
     "press",
     "press_batch",
+    "press_many",
     "press_sensitivity",
     "render",
     "simulate",

@@ -71,6 +71,7 @@ class PressEnd(enum.StrEnum):
 
     FORCE = "force_n"
     DEPTH = "depth_mm"
+    PATH = "path"
     LIMIT = "the farthest that a press to a force goes"
     """Half of the gel and a third of a soft body's height: no further unless a depth is given."""
     LOST = "no equilibrium found further on"

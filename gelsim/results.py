@@ -31,6 +31,8 @@ class Deformation:
 
     approach: NDArray[np.float64]
     """Travel of the object's base toward the window [m], shape (N,)."""
+    time: NDArray[np.float64]
+    """From the first state [s], shape (N,)."""
     force: NDArray[np.float64]
     """Force on the gel by the object [N], shape (N, 3)."""
     contact_area: NDArray[np.float64]
@@ -59,6 +61,34 @@ class Deformation:
     def lost(self) -> bool:
         """Whether it ended where no equilibrium was found, short of its depth and its force."""
         return self.status is not SolveStatus.CONVERGED or self.info.get("ended_by") == PressEnd.LOST
+
+    @property
+    def along(self) -> tuple[str, NDArray[np.float64]]:
+        """What curves of the press are drawn against, with its name: approach [mm], or time [s] where that does not always grow."""
+        if (np.diff(self.approach) > 0.0).all():
+            return "approach [mm]", 1e3 * self.approach
+        return "time [s]", self.time
+
+    @property
+    def telling(self) -> int:
+        """Number of the state that shows the press best: the last that carries at least half of the largest normal force."""
+        force = -self.force[:, 2]
+        return int(np.flatnonzero(force >= 0.5 * force.max())[-1])
+
+    def _repr_html_(self) -> str:
+        """For notebooks: how it ended, and its force as a curve."""
+        name, along = self.along
+        normal, state = -self.force[:, 2], self.telling
+        across = (along - along[0]) / max(float(np.ptp(along)), 1e-300)
+        line = " ".join(f"{4 + 232 * x:.1f},{76 - 72 * y:.1f}" for x, y in zip(across, normal / max(normal.max(), 1e-300), strict=True))
+        told = (
+            f"{len(along)} states, {self.status.value}; state {state}: {1e3 * self.approach[state]:.3g} mm, {normal[state]:.3g} N, "
+            f"{1e6 * self.contact_area[state]:.3g} mm²"
+        )
+        curve = f'<svg width="240" height="80"><polyline points="{line}" fill="none" stroke="currentColor" stroke-width="1.5"/></svg>'
+        return (
+            f"<div>{told}<br/>{curve}<br/>normal force, up to {normal.max():.3g} N, against {name} {along[0]:.3g} to {along[-1]:.3g}</div>"
+        )
 
     def warn(self, told: str) -> None:
         """Adds a sentence to the warnings of report.json."""
@@ -111,6 +141,16 @@ class Frame:
     """z of the membrane seen by each pixel [m], shape (H, W); NaN where the camera sees no gel."""
     marker_pixels: NDArray[np.float64]
     """Projected marker centres (column, row) [px], shape (K, 2); NaN outside the picture."""
+
+    def _repr_png_(self) -> bytes:
+        """For notebooks: the picture."""
+        import io
+
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(self.image).save(file, format="PNG")
+        return file.getvalue()
 
 
 @dataclass(frozen=True, eq=False)

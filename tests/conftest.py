@@ -59,6 +59,7 @@ def deformation(sheet_motion: SurfaceMotion) -> Deformation:
     count = len(sheet_motion.displacement)
     return Deformation(
         approach=np.linspace(0.0, 1e-3, count),
+        time=np.linspace(0.0, 0.2, count),
         force=np.array([[0.0, 0.0, -0.5 * i] for i in range(count)]),
         contact_area=np.linspace(0.0, 2e-5, count),
         contact_pressure=np.linspace(0.0, 3e4, count)[:, None] * np.ones(len(sheet_motion.rest)),

@@ -3,9 +3,9 @@
     python docs/studies/calibrate_self.py --out out/calibrate_self [--presses 16] [--size 160x120] [--fem 2] [--markers]
 
 The sensor: a dome of 45 mm radius and 3.2 mm thickness, three lights at other places and of other sizes than any start, a coat of a fifth
-flakes, inter-reflection on. Balls of 2.5 mm at places and depths drawn by lot; every fourth is a test press. `--fem` N: the dents of the
-first N test presses are solved in three dimensions on the dome, not taken from the family the fit uses. Noise: 1.5 levels, then 8 bits.
-`--markers`: black dots of 0.25 mm radius every 2 mm move with the gel.
+flakes, inter-reflection on. Balls of 2.5 mm, or of the radii of `--balls` in turn, at places and depths drawn by lot; every fourth is for
+testing. `--fem` N: the dents of the first N test presses are solved in three dimensions on the dome, not taken from the family that the fit
+uses. Noise: 1.5 levels, then 8 bits. `--markers`: black dots of 0.25 mm radius every 2 mm move with the gel.
 Prints each parameter with its truth and its distance in standard deviations, and writes found.csv.
 """
 
@@ -39,7 +39,7 @@ def truth(width: int, height: int) -> Parameters:
 
 def write_photos(
     folder: Path, width: int, height: int, count: int, *, fem: int = 0, spp: int = 144, seed: int = 1, markers: bool = False,
-    gel_known: bool = False,
+    gel_known: bool = False, balls: tuple[float, ...] = (BALL_MM,),
 ) -> tuple[Parameters, np.ndarray]:  # fmt: skip
     """Draws the photographs; returns the sensor and the presses (x, y, depth [mm])."""
     rng = np.random.default_rng(seed)
@@ -54,12 +54,13 @@ def write_photos(
     strata = np.stack([rng.permutation(count), rng.permutation(count)], axis=1)
     presses = np.column_stack([(2 * (strata + rng.random((count, 2))) / count - 1) * reach, rng.uniform(0.5, 1.2, count)])
     test = np.arange(count) % 4 == 3
-    dents = solve_dents(gel, effective_radius(BALL_MM, CURVATURE), True)
-    rest, pictures = drawing.draw(scene, dents.at(THICKNESS_MM), BALL_MM, list(presses))
+    radii = np.resize(balls, count)
+    dents = solve_dents(gel, effective_radius(radii, CURVATURE), True)
+    rest, pictures = drawing.draw(scene, dents.at(THICKNESS_MM), radii, list(presses))
     for index in np.flatnonzero(test)[:fem]:
         x, y, depth = (float(value) for value in presses[index])
         solid = scene.replace(
-            object=Body(shape="hemisphere", rigid=True, radius_mm=BALL_MM, height_mm=6.0),
+            object=Body(shape="hemisphere", rigid=True, radius_mm=float(radii[index]), height_mm=6.0),
             press=Press(depth_mm=depth, force_n=None, frames=6, offset_mm=(x, y)),
         )
         deformation, frames = stages.simulate(solid)
@@ -72,8 +73,8 @@ def write_photos(
         Image.fromarray(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8)).save(folder / name)
     with (folder / "presses.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(["file", "split"])
-        table.writerows([f"press_{i:02d}.png", "test" if test[i] else "train"] for i in range(count))
+        table.writerow(["file", "split", "radius_mm"])
+        table.writerows([f"press_{i:02d}.png", "test" if test[i] else "train", radii[i]] for i in range(count))
     settings = f'ball_radius_mm = {BALL_MM}\nno_contact = "rest.png"\nmm_per_px = {FIELD_MM / width}\nmarkers = {str(markers).lower()}\n'
     if gel_known:
         thick, thin = scene.gel.thickness_mm, scene.gel.edge_thickness_mm
@@ -115,12 +116,13 @@ def main() -> None:
     parser.add_argument("--fem", type=int, default=0)
     parser.add_argument("--markers", action="store_true")
     parser.add_argument("--spp", type=int, default=144)
+    parser.add_argument("--balls", type=float, nargs="+", default=[BALL_MM], metavar="MM", help="radii, one after the other")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     width, height = (int(part) for part in options.size.split("x"))
     sensor, presses = write_photos(
         options.out / "photos", width, height, options.presses,
-        fem=options.fem, spp=options.spp, seed=options.seed, markers=options.markers,
+        fem=options.fem, spp=options.spp, seed=options.seed, markers=options.markers, balls=tuple(options.balls),
     )  # fmt: skip
     report = calibrate(options.out / "photos", options.out / "sensor.toml", sensor="self", force=True)
     rows = compare(report, sensor, presses)

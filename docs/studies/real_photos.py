@@ -6,11 +6,12 @@
 
 Sets: `mini_markers` (a GelSight Mini, ball of 5.0 mm diameter, its gel by the data sheet; the half that its owner named is for testing)
 and `dots427` (a laboratory's own sensor, ball radius 2.38 mm; every third press by number is for testing). Nothing else is handed on: no
-scale, no place, no depth. The photographs carry no licence: they are read, and nothing made from them stays in this repository.
+place, no depth, and no scale but with `--scale`. The photographs carry no licence: they are read, and nothing made from them stays in this
+repository.
 
 Dots: dark blobs of the picture without contact, found again within half the distance of neighbours in a test press's photograph and
-in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, of the
-motion, and of the distance once each press's own mean is taken off, which is what the hand moved sideways.
+in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, and of the
+motion, once for the picture of the press's place and depth, once with the drag that was found beside them.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ thickness_mm = 4.25
 OWN = 'ball_radius_mm = 2.38\nno_contact = "no_contact.jpg"\nmarkers = true\n'
 
 
-def write_folder(data: Path, name: str, out: Path) -> None:
+def write_folder(data: Path, name: str, out: Path, scale: float | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     if name == "mini_markers":
         with (data / name / "contacts.csv").open(encoding="utf-8") as file:
@@ -54,7 +55,7 @@ def write_folder(data: Path, name: str, out: Path) -> None:
     else:
         files = sorted((data / name).glob("press_*.jpg"), key=lambda path: int(re.findall(r"\d+", path.stem)[0]))
         rows = [(path.name, "test" if index % 3 == 2 else "train") for index, path in enumerate(files)]
-    settings = MINI if name == "mini_markers" else OWN
+    settings = ("" if scale is None else f"mm_per_px = {scale}\n") + (MINI if name == "mini_markers" else OWN)
     (out / "photos.toml").write_text(settings, encoding="utf-8")
     with (out / "presses.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
@@ -74,31 +75,28 @@ def dots_of(picture: np.ndarray) -> np.ndarray:
     return middles[(areas > 0.4 * np.median(areas)) & (areas < 2.5 * np.median(areas))]
 
 
-def dot_errors(photos_folder: Path, sensor: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Error, motion, and error less the press's mean [px] of each dot that moved, over all test presses."""
+def dot_errors(photos_folder: Path, sensor: Path, dragged: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Error and motion [px] of each dot that moved, over all test presses; `dragged`: with the drag that was found, too."""
     photos = read_photos(photos_folder)
     report = json.loads((sensor.parent / "report.json").read_text(encoding="utf-8"))
     scene = build_scene({"sensor": {"preset": str(sensor.resolve())}})
     scene = scene.replace(render=type(scene.render)("path", 16, photos.size))
-    dents = solve_dents(scene.gel, effective_radius(photos.ball_mm, curvature_of(scene.gel)), True)
+    dents = solve_dents(scene.gel, effective_radius(photos.balls_mm, curvature_of(scene.gel)), True)
     test = [index for index, row in enumerate(report["presses"]) if row["split"] == "test"]
-    presses = [np.array([*report["presses"][index]["offset_mm"], report["presses"][index]["depth_mm"]]) for index in test]
-    rest, drawn = drawing.draw(
-        scene, dents.at(scene.gel.thickness_mm, report["parameters"]["contact.slip"]["value"]), photos.ball_mm, presses
-    )
+    rows = [report["presses"][index]["dragged"] if dragged else report["presses"][index] for index in test]
+    presses = [np.array([*row["offset_mm"], row["depth_mm"], *row["drag_mm"]]) for row in rows]
+    slip = report["parameters"]["contact.slip"]["value"]
+    rest, drawn = drawing.draw(scene, dents.at(scene.gel.thickness_mm, slip), photos.balls_mm[test], presses)
     before = dots_of(rest)
     apart = KDTree(before).query(before, k=2)[0][:, 1]
-    errors, moves, sideways = [], [], []
+    errors, moves = [], []
     for index, picture in zip(test, drawn, strict=True):
         found = [dots_of(each) for each in (photos.pictures[index], picture)]
         near = [KDTree(middles).query(before) for middles in found]
         kept = (near[0][0] < 0.5 * np.median(apart)) & (near[1][0] < 0.5 * np.median(apart)) & (near[0][0] >= MOVED_PX)
-        error = (found[0][near[0][1]] - found[1][near[1][1]])[kept]
-        errors.append(np.hypot(*error.T))
+        errors.append(np.hypot(*(found[0][near[0][1]] - found[1][near[1][1]])[kept].T))
         moves.append(near[0][0][kept])
-        if len(error) > 1:
-            sideways.append(np.hypot(*(error - error.mean(axis=0)).T))
-    return np.concatenate(errors), np.concatenate(moves), np.concatenate(sideways)
+    return np.concatenate(errors), np.concatenate(moves)
 
 
 def main() -> None:
@@ -106,17 +104,17 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--set", choices=["mini_markers", "dots427"])
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--scale", type=float, metavar="MM_PER_PX", help="handed on (default: left to the fit)")
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--dots", type=Path, metavar="SENSOR.toml")
     options = parser.parse_args()
     if options.dots:
-        errors, moves, sideways = dot_errors(options.photos, options.dots)
-        print(
-            f"{len(errors)} dots moved {MOVED_PX:g} px or more: median error {np.median(errors):.2f} px, motion {np.median(moves):.2f} px"
-        )
-        print(f"median error less each press's own mean {np.median(sideways):.2f} px")
+        for name, dragged in (("place and depth", False), ("place, depth and drag", True)):
+            errors, moves = dot_errors(options.photos, options.dots, dragged)
+            said = f"median error {np.median(errors):.2f} px of {np.median(moves):.2f} px of motion"
+            print(f"{name} found: {len(errors)} dots moved {MOVED_PX:g} px or more: {said}")
     else:
-        write_folder(options.data, options.set, options.out)
+        write_folder(options.data, options.set, options.out, options.scale)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ SECTIONS = {
     "target": "gelsim.bench.target",
     "convergence": "gelsim.bench.convergence",
     "closed-forms": "gelsim.bench.closed_forms",
+    "motion": "gelsim.bench.motion",
     "unlisted": "gelsim.bench.unlisted",
     "measured-ball": "gelsim.bench.measured_ball",
     "measured-silicones": "gelsim.bench.measured_silicones",

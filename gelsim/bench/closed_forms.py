@@ -24,10 +24,11 @@ def known() -> Iterator[Known]:
 def _cases(options: Options) -> Iterator[Case]:
     for item in known():
         if item.quick or not options.quick:
-            yield Case(item.name, partial(_measure, item))
+            yield Case(item.name, partial(measured, item))
 
 
-def _measure(item: Known) -> Row:
+def measured(item: Known) -> Row:
+    """A known number as a row: ours, the expected one, and whether they are near enough."""
     start = time.perf_counter()
     try:
         ours, expected, scale = item.compute()

@@ -45,19 +45,16 @@ PRESSES: dict[str, Layer] = {
     "ball R 5, 5 mm off centre": {"object": {**BALL, "radius_mm": 5.0}, "press": {"offset_mm": [4.0, 3.0]}},
     "ball R 5, sheared by half its depth": {"object": {**BALL, "radius_mm": 5.0}, "press": {"shear_mm": [0.48, 0.0]}},
     "ball R 5, sheared by its depth": {"object": {**BALL, "radius_mm": 5.0}, "press": {"shear_mm": [0.96, 0.0]}},
-    "cylinder R 5, 10 long, sheared": {
-        "object": {"shape": "cylinder", "radius_mm": 5.0, "length_mm": 10.0, "height_mm": 10.0},
-        "press": {"shear_mm": [0.3, 0.0]},
-    },
-    "box 6 × 8, rims": {"object": {"shape": "box", "width_mm": 6.0, "length_mm": 8.0, "height_mm": 8.0}},
-    "emboss 8 × 8, dots of 0.2": {"object": {"shape": "emboss", "width_mm": 8.0, "length_mm": 8.0, "height_mm": 6.0}},
-    "hexagonal nut, a mesh file": {"object": {"shape": "mesh", "mesh": str(assets_folder() / "meshes" / "hex_nut.stl")}},
     "dome, ball R 5": {"gel": {"profile": "dome"}, "object": {**BALL, "radius_mm": 5.0}},
     "dome, ball R 5, 5 mm off centre": {
         "gel": {"profile": "dome"},
         "object": {**BALL, "radius_mm": 5.0},
         "press": {"offset_mm": [4.0, 3.0]},
     },
+    "cylinder R 5, 10 long": {"object": {"shape": "cylinder", "radius_mm": 5.0, "length_mm": 10.0, "height_mm": 10.0}},
+    "box 6 × 8, rims": {"object": {"shape": "box", "width_mm": 6.0, "length_mm": 8.0, "height_mm": 8.0}},
+    "emboss 8 × 8, dots of 0.2": {"object": {"shape": "emboss", "width_mm": 8.0, "length_mm": 8.0, "height_mm": 6.0}},
+    "hexagonal nut, a mesh file": {"object": {"shape": "mesh", "mesh": str(assets_folder() / "meshes" / "hex_nut.stl")}},
 }
 QUICK = ("ball R 8", "ball R 5, sheared by half its depth")
 

@@ -41,46 +41,49 @@ SHALLOWEST = 0.03
 
 @dataclass(frozen=True, eq=False)
 class DentFamily:
-    """Tables over depth (first axis) and over ρ/√(R' d) (second axis)."""
+    """Tables by ball, over depth and over ρ/√(R' d). A ball of another R' takes those of the nearest, by scaling."""
 
-    depths_mm: Array
-    """Equally spaced, shape (D,)."""
+    radii_mm: Array
+    """R' of the balls that were solved, increasing, shape (B,)."""
+    deepest_mm: Array
+    """Depths are DEPTHS equal steps up to it, shape (B,)."""
     height: Array
-    """z / d of the deformed surface at a place in space, shape (D, NODES)."""
+    """z / d of the deformed surface at a place in space, shape (B, D, NODES)."""
     slope: Array
     """Its derivative by ρ/√(R' d)."""
     moved: Array
-    """Radial and vertical displacement over d of a material point, shape (2, D, NODES)."""
+    """Radial and vertical displacement over d of a material point, shape (2, B, D, NODES)."""
 
-    @property
-    def deepest_mm(self) -> float:
-        return float(self.depths_mm[-1])
+    def clipped(self, depth_mm: Array, radius_mm: Array) -> Array:
+        """Depths [mm] that the tables reach."""
+        return np.clip(depth_mm, SHALLOWEST, self.deepest_mm[nearest_ball(self.radii_mm, radius_mm)])
 
-    def surface(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> tuple[Array, Array]:
+    def surface(self, distance_mm: Array, depth_mm: Array, radius_mm: Array) -> tuple[Array, Array]:
         """z [mm] and dz/dρ of the dent alone at a distance from first touch; `radius_mm` is R'. Arrays of one shape."""
         unit = np.sqrt(radius_mm * depth_mm)
-        row, column = self._place(distance_mm / unit, depth_mm)
+        row, column = self._place(distance_mm / unit, depth_mm, radius_mm)
         return depth_mm * _bilinear(self.height, row, column), depth_mm / unit * _bilinear(self.slope, row, column)
 
-    def height_at(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> Array:
+    def height_at(self, distance_mm: Array, depth_mm: Array, radius_mm: Array) -> Array:
         """The first of `surface` alone."""
-        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm, radius_mm)
         return depth_mm * _bilinear(self.height, row, column)
 
-    def pulled(self, distance_mm: Array, depth_mm: Array, radius_mm: float) -> Array:
+    def pulled(self, distance_mm: Array, depth_mm: Array, radius_mm: Array) -> Array:
         """How far outward [mm] material points have moved, at a rest distance from first touch; arrays of one shape."""
-        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm)
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth_mm), depth_mm, radius_mm)
         return depth_mm * _bilinear(self.moved[0], row, column)
 
     def displacement(self, distance_mm: Array, depth_mm: float, radius_mm: float) -> tuple[Array, Array]:
         """Radial and vertical displacement [mm] of material points at a rest distance from first touch."""
         depth = np.full_like(distance_mm, depth_mm)
-        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth), depth)
+        row, column = self._place(distance_mm / np.sqrt(radius_mm * depth), depth, np.full_like(distance_mm, radius_mm))
         return depth * _bilinear(self.moved[0], row, column), depth * _bilinear(self.moved[1], row, column)
 
-    def _place(self, scaled: Array, depth_mm: Array) -> tuple[Array, Array]:
-        first, step = self.depths_mm[0], self.depths_mm[1] - self.depths_mm[0]
-        row = np.clip((depth_mm - first) / step, 0, len(self.depths_mm) - 1.000001)
+    def _place(self, scaled: Array, depth_mm: Array, radius_mm: Array) -> tuple[Array, Array]:
+        """Row, counted through the balls, and column of the tables."""
+        ball = nearest_ball(self.radii_mm, radius_mm)
+        row = np.clip(depth_mm * (DEPTHS / self.deepest_mm[ball]) - 1, 0, DEPTHS - 1.000001) + DEPTHS * ball
         return row, np.clip(scaled * ((NODES - 1) / REACH), 0, NODES - 1.000001)
 
 
@@ -88,15 +91,25 @@ def _bilinear(table: Array, row: Array, column: Array) -> Array:
     i, j = row.astype(np.int64), column.astype(np.int64)
     s, t = row - i, column - j
     flat = table.ravel()
-    k = i * table.shape[1] + j
+    k = i * NODES + j
     below = flat[k] * (1 - t) + flat[k + 1] * t
-    above = flat[k + table.shape[1]] * (1 - t) + flat[k + table.shape[1] + 1] * t
+    above = flat[k + NODES] * (1 - t) + flat[k + NODES + 1] * t
     return below * (1 - s) + above * s
 
 
-def effective_radius(ball_mm: float, curvature: float) -> float:
-    """R' [mm] of a ball on a dome of curvature 1/R_d [1/mm]."""
-    return 1.0 / (1.0 / ball_mm + curvature)
+def effective_radius(ball_mm: Array | float, curvature: float) -> Array:
+    """R' [mm] of balls on a dome of curvature 1/R_d [1/mm]."""
+    return 1.0 / (1.0 / np.asarray(ball_mm, np.float64) + curvature)
+
+
+def distinct(radii_mm: Array) -> Array:
+    """R' [mm] that differ, in increasing order."""
+    return np.asarray(np.unique(np.round(radii_mm, 6)), np.float64)
+
+
+def nearest_ball(radii_mm: Array, radius_mm: Array) -> NDArray[np.int64]:
+    """Number of the solved R' that is nearest, by ratio."""
+    return np.searchsorted(np.sqrt(radii_mm[1:] * radii_mm[:-1]), radius_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +123,9 @@ class Dents:
     slippery: tuple[DentFamily, ...] = ()
     """Likewise without friction; none: the ball is taken to stick."""
 
-    @property
-    def deepest_mm(self) -> float:
-        return self.families[0].deepest_mm
+    def deepest(self, radius_mm: Array) -> Array:
+        """Largest depth [mm] that was solved for balls of these R'."""
+        return self.families[0].deepest_mm[nearest_ball(self.families[0].radii_mm, radius_mm)]
 
     def at(self, thickness_mm: float, slip: float = 0.0) -> DentFamily:
         """The family of a thickness, linear in its logarithm between those solved, and between a ball that sticks and one that slips."""
@@ -128,7 +141,9 @@ class Dents:
 
 
 def _mixed(a: DentFamily, b: DentFamily, share: float) -> DentFamily:
-    return DentFamily(a.depths_mm, *((1 - share) * getattr(a, name) + share * getattr(b, name) for name in ("height", "slope", "moved")))
+    return DentFamily(
+        a.radii_mm, a.deepest_mm, *((1 - share) * getattr(a, name) + share * getattr(b, name) for name in ("height", "slope", "moved"))
+    )
 
 
 THICKNESSES = tuple(float(round(thickness, 3)) for thickness in np.geomspace(1.5, 9.0, 11))
@@ -136,26 +151,36 @@ THICKNESSES = tuple(float(round(thickness, 3)) for thickness in np.geomspace(1.5
 moved the thickness found by 0.3 mm."""
 
 
-def solve_dents(gel: Gel, ball_radius_mm: float, known: bool, progress: Callable[[int, int], None] | None = None) -> Dents:
+def solve_dents(gel: Gel, radii_mm: Array | float, known: bool, progress: Callable[[int, int], None] | None = None) -> Dents:
     """Families of the gel's own thickness if that is known, else of THICKNESSES.
 
     Args:
-        ball_radius_mm: R' of the start's dome; other R' are reached by scaling.
+        radii_mm: R' of the balls on the start's dome; other R' are reached by scaling.
     """
+    radii = distinct(np.atleast_1d(np.asarray(radii_mm, np.float64)))
     wanted = (gel.thickness_mm,) if known else THICKNESSES
-    deepest = min(0.75 * max(wanted), 0.9 * ball_radius_mm)
-    depths = np.linspace(deepest / DEPTHS, deepest, DEPTHS)
     families: tuple[list[DentFamily], list[DentFamily]] = [], []
     for index, thickness in enumerate(wanted):
         for contact, into in zip((STICKS, Contact(friction_coefficient=0.0)), families, strict=True):
-            into.append(_solve(replace(gel, thickness_mm=thickness), ball_radius_mm, depths, contact))
+            into.append(solve_family(replace(gel, thickness_mm=thickness), radii, max(wanted), contact))
         if progress:
             progress(index + 1, len(wanted))
     return Dents(np.array(wanted), tuple(families[0]), tuple(families[1]))
 
 
-def _solve(gel: Gel, ball_radius_mm: float, depths: Array, contact: Contact = STICKS) -> DentFamily:
-    """One family at the wanted depths; deeper than a gel can be pressed, its last state is kept."""
+def solve_family(gel: Gel, radii_mm: Array, thickest_mm: float, contact: Contact = STICKS) -> DentFamily:
+    """Dents of balls of increasing R' in one gel, to depths that a gel of `thickest_mm` allows."""
+    deepest = np.minimum(0.75 * thickest_mm, 0.9 * radii_mm)
+    tables = [
+        _solve(gel, float(radius), np.linspace(most / DEPTHS, most, DEPTHS), contact)
+        for radius, most in zip(radii_mm, deepest, strict=True)
+    ]
+    height, slope, moved = (np.stack(parts) for parts in zip(*tables, strict=True))
+    return DentFamily(radii_mm, deepest, height, slope, moved.swapaxes(0, 1))
+
+
+def _solve(gel: Gel, ball_radius_mm: float, depths: Array, contact: Contact) -> tuple[Array, Array, Array]:
+    """Height, slope and motion at the wanted depths; deeper than a gel can be pressed, its last state is kept."""
     deepest = min(0.75 * gel.thickness_mm, float(depths[-1]))
     flat = replace(gel, profile="flat", prony_g=(), prony_tau_s=())
     scene = Scene(
@@ -190,7 +215,7 @@ def _solve(gel: Gel, ball_radius_mm: float, depths: Array, contact: Contact = ST
     height = table[:, 2]
     slope = np.gradient(height, scaled, axis=1, edge_order=2)
     slope[:, 0] = 0.0
-    return DentFamily(depths, height, slope, table[:, :2].transpose(1, 0, 2))
+    return height, slope, table[:, :2].transpose(1, 0, 2)
 
 
 def _smooth(places: Array, values: Array, wanted: Array) -> Array:

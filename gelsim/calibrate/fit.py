@@ -2,11 +2,11 @@
 
     minimise  Σ_i ϱ((I_i − M_i(θ, p)) / σ) + Σ_k ((θ_k − θ⁰_k) / s_k)²
 
-over the sensor θ and the place and depth p of each press; ϱ is Huber's. The model M is the rest picture, changed (`calibrate.model`): what
-does not change says nothing of the lights. Derivatives by geometry are one-sided differences, all presses at once (each pixel depends on
-its own press only), those by colour exact. Uncertainties are of the sandwich kind: H⁻¹ G H⁻¹
-with G the sum over blocks of pixels of g gᵀ, so that errors that neighbouring pixels share (compression, what the model lacks) count as
-what they are. Left out: errors that all photographs share.
+over the sensor θ and place, depth and drag p of each press; ϱ is Huber's. The model M is the rest picture, changed (`calibrate.model`):
+what does not change says nothing of the lights. Derivatives by geometry are one-sided differences, all presses at once (each pixel
+depends on its own press only), those by colour exact. Uncertainties are of the sandwich kind: H⁻¹ G H⁻¹ with G the sum over blocks of
+pixels of g gᵀ, so that errors that neighbouring pixels share (compression, what the model lacks) count as what they are. Left out: errors
+that all photographs share.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.calibrate import model
-from gelsim.calibrate.dent import SHALLOWEST, Dents
-from gelsim.calibrate.parameters import ALBEDO, EXPOSURE, FLAKE, GEOMETRY, GLOBALS, Parameters
+from gelsim.calibrate.dent import SHALLOWEST, Dents, effective_radius
+from gelsim.calibrate.parameters import ALBEDO, EXPOSURE, FLAKE, GEOMETRY, GLOBALS, PRESS, Parameters
 
 Array = NDArray[np.float64]
 
 HUBER = 8.0
 """Residuals beyond so many standard deviations count linearly: with 2, dots that were a pixel off and rims hardly counted (squared error on
 test presses of a Mini 44, now 39)."""
-PRESS_STEP = (1e-3, 1e-3, 1e-3)
-"""Steps of the differences by place and depth [mm]."""
+PRESS_STEP = 1e-3
+"""Of the differences by what a press is [mm]."""
 STEPS = {"camera.mm_per_px": 1e-5, "camera.distance_mm": 1e-2, "gel.curvature": 1e-5, "gel.thickness_mm": 1e-3}
 
 
@@ -46,6 +46,8 @@ class Data:
     """The picture without contact, which a press changes."""
     correction: Array
     """Added to the model's levels, shape (N, 3): what the renderer adds to it."""
+    balls_mm: Array
+    """Radius of each press's ball, shape (P,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ class Fitted:
 
     parameters: Parameters
     presses: Array
-    """x, y, depth [mm], shape (P, 3)."""
+    """Of PRESS, shape (P, 5)."""
     cost: float
     rms: float
     """Of the residuals [levels]."""
@@ -68,13 +70,13 @@ class Evaluation:
     """The model at one place, and what its derivatives need."""
 
     def __init__(
-        self, parameters: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float,
+        self, parameters: Parameters, presses: Array, data: Data, dents: Dents,
         still: tuple[model.Surface, list[Array]] | None = None,
     ) -> None:  # fmt: skip
         """`still`: What the pixels see without a press, and each light there, of an evaluation with the same parameters."""
-        self.parameters, self.presses, self.data, self.solved, self.ball_mm = parameters, presses, data, dents, ball_mm
+        self.parameters, self.presses, self.data, self.solved = parameters, presses, data, dents
         self.dents = dents.at(parameters.globals[3], parameters.globals[9])
-        self.shape = parameters.shape(ball_mm)
+        self.shape = parameters.shape(data.balls_mm)
         self.seen = model.surface(self.shape, self.dents, presses, data.pixels)
         self.lights = [parameters.light(index) for index in range(len(parameters.geometry) + 1)]
         self.shares = [model.visible(self.shape, self.dents, self.seen, light) for light in self.lights]
@@ -107,7 +109,7 @@ class Evaluation:
             step = STEPS.get(name, 1e-4)
             values = p.globals.copy()
             values[k] += step
-            other = Evaluation(replace(p, globals=values), self.presses, self.data, self.solved, self.ball_mm)
+            other = Evaluation(replace(p, globals=values), self.presses, self.data, self.solved)
             columns[:, :, k] = (other.level - self.level) / step
         scale, start = self.steep * self.paint, len(GLOBALS)
         for index in range(len(p.geometry)):
@@ -128,13 +130,13 @@ class Evaluation:
         return columns
 
     def press_columns(self) -> Array:
-        """Derivatives of the levels by place and depth of each pixel's own press, shape (N, 3, 3)."""
-        columns = np.zeros((len(self.data.level), 3, 3))
-        for k, step in enumerate(PRESS_STEP):
+        """Derivatives of the levels by what is in PRESS, of each pixel's own press, shape (N, 3, 5)."""
+        columns = np.zeros((len(self.data.level), 3, len(PRESS)))
+        for k in range(len(PRESS)):
             presses = self.presses.copy()
-            presses[:, k] += step
-            other = Evaluation(self.parameters, presses, self.data, self.solved, self.ball_mm, self.still)
-            columns[:, :, k] = (other.level - self.level) / step
+            presses[:, k] += PRESS_STEP
+            other = Evaluation(self.parameters, presses, self.data, self.solved, self.still)
+            columns[:, :, k] = (other.level - self.level) / PRESS_STEP
         return columns
 
 
@@ -143,7 +145,6 @@ def fit(
     presses: Array,
     data: Data,
     dents: Dents,
-    ball_mm: float,
     *,
     believed: Parameters | None = None,
     press_sd: Array | None = None,
@@ -155,7 +156,7 @@ def fit(
 
     Args:
         believed: Centre of the priors (default: the start).
-        press_sd: Prior of each press's x, y, depth [mm], shape (P, 3), about `presses` (default: none).
+        press_sd: Prior of what is in PRESS [mm], shape (P, 5), about `presses` (default: none).
         frozen: Parameters of the vector that stay.
     """
     believed = believed or start
@@ -164,12 +165,14 @@ def fit(
     sensor_count, press_count = len(sd), presses.size
     centre = np.concatenate([believed.vector, presses.ravel()])
     pull = np.concatenate([1 / sd**2, (1 / press_sd**2).ravel() if press_sd is not None else np.zeros(press_count)])
-    floor = np.concatenate([low, np.tile([-np.inf, -np.inf, SHALLOWEST], len(presses))])
-    ceiling = np.concatenate([high, np.tile([np.inf, np.inf, dents.deepest_mm], len(presses))])
+    floor = np.concatenate([low, np.tile([-np.inf, -np.inf, SHALLOWEST, -np.inf, -np.inf], len(presses))])
+    tops = np.full(presses.shape, np.inf)
+    tops[:, 2] = dents.deepest(effective_radius(data.balls_mm, start.globals[2]))
+    ceiling = np.concatenate([high, tops.ravel()])
     free_always = np.concatenate([~frozen, np.ones(press_count, bool)])
 
     def evaluate(vector: Array) -> Evaluation:
-        return Evaluation(start.with_vector(vector[:sensor_count]), vector[sensor_count:].reshape(-1, 3), data, dents, ball_mm)
+        return Evaluation(start.with_vector(vector[:sensor_count]), vector[sensor_count:].reshape(-1, len(PRESS)), data, dents)
 
     counted = data.weight > 0
     vector = np.clip(np.concatenate([start.vector, presses.ravel()]), floor, ceiling)
@@ -223,9 +226,9 @@ def fit(
     return Fitted(here.parameters, here.presses, float(cost), rms, sigma, covariance, done)
 
 
-def brightness(parameters: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float) -> Array:
+def brightness(parameters: Parameters, presses: Array, data: Data, dents: Dents) -> Array:
     """Mean size of the linear change that each light but the veil makes, all colours together, shape (L,)."""
-    here = Evaluation(parameters, presses, data, dents, ball_mm)
+    here = Evaluation(parameters, presses, data, dents)
     return np.array(
         [np.abs(values).mean() * colours.sum() for values, colours in zip(here.changes[:-1], parameters.colours[:-1], strict=True)]
     )
@@ -253,8 +256,8 @@ def _normal(here: Evaluation, residual: Array, weight: Array, frozen: NDArray[np
         some = np.flatnonzero(data.pixels.press == press)
         if len(some) == 0:
             continue
-        part = slice(sensor_count + 3 * press, sensor_count + 3 * press + 3)
-        local = own[some].reshape(-1, 3)
+        part = slice(sensor_count + len(PRESS) * press, sensor_count + len(PRESS) * (press + 1))
+        local = own[some].reshape(-1, len(PRESS))
         heavy = local * weight[some].reshape(-1, 1)
         hessian[part, part] = local.T @ heavy
         hessian[:sensor_count, part] = flat.reshape(-1, 3, sensor_count)[some].reshape(-1, sensor_count).T @ heavy

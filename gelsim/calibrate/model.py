@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.calibrate.dent import SHALLOWEST, DentFamily, effective_radius
+from gelsim.calibrate.dent import DentFamily, effective_radius
+from gelsim.calibrate.drag import carried
 from gelsim.optics.camera import solve_slope
 from gelsim.optics.rest import DARKEST
 
@@ -55,6 +56,10 @@ class Surface:
     """First touch of the pixel's press, shape (N, 2)."""
     depth: Array
     """Of the pixel's press, 0 in the rest frame."""
+    radius: Array
+    """R' of the pixel's press [mm]."""
+    drag: Array
+    """Of the pixel's press [mm], shape (N, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +103,8 @@ class Shape:
     """Of the picture: where its field is exact."""
     curvature: float
     """Of the dome [1/mm]."""
-    ball_mm: float
+    ball_mm: Array
+    """Of each press, shape (P,)."""
     tilt: tuple[float, float] = (0.0, 0.0)
     """Of the camera about x and y [rad]; its foot is where the picture's middle shows the gel's."""
 
@@ -134,17 +140,18 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     """Where each pixel's ray meets the dented dome.
 
     Args:
-        presses: Apex of the ball x, y [mm] and depth [mm] of each press, shape (P, 3).
+        presses: Of `parameters.PRESS`, shape (P, 5).
     """
     start, slope = rays(shape, pixels.place)
     touched = pixels.press >= 0
-    centre, depth = np.zeros_like(start), np.zeros(len(start))
+    centre, depth, radius, drag = np.zeros_like(start), np.zeros(len(start)), np.ones(len(start)), np.zeros_like(start)
     if len(presses):
         which = pixels.press[touched]
         # First touch of a ball on a dome: nearer to the dome's top than the ball's apex.
-        centre[touched] = presses[which, :2] / (1 + shape.ball_mm * shape.curvature)
-        depth[touched] = np.clip(presses[which, 2], SHALLOWEST, dents.deepest_mm)
-    radius = effective_radius(shape.ball_mm, shape.curvature)
+        centre[touched] = presses[which, :2] / (1 + shape.ball_mm[which, None] * shape.curvature)
+        radius[touched] = effective_radius(shape.ball_mm[which], shape.curvature)
+        depth[touched] = dents.clipped(presses[which, 2], radius[touched])
+        drag[touched] = presses[which, 3:]
     at = start.copy()
     z, gradient = np.zeros(len(start)), np.zeros_like(start)
     for _ in range(4):
@@ -155,7 +162,7 @@ def surface(shape: Shape, dents: DentFamily, presses: Array, pixels: Pixels) -> 
     normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
     view = np.column_stack([-slope, -np.ones(len(z))])
     view /= np.sqrt((view**2).sum(axis=1))[:, None]
-    return Surface(point, normal, view, centre, depth)
+    return Surface(point, normal, view, centre, depth, radius, drag)
 
 
 def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -> Array:
@@ -166,12 +173,13 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
         return place
     away = seen.point[some, :2] - seen.centre[some]
     distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
-    before = distance.copy()
-    radius = effective_radius(shape.ball_mm, shape.curvature)
+    before, radius = distance.copy(), seen.radius[some]
     for _ in range(6):
         before = np.maximum(distance - dents.pulled(before, seen.depth[some], radius), 0.0)
-    at = seen.centre[some] + away * (before / distance)[:, None]
-    height = _dome(shape.curvature, at)[0]
+    away = away * (before / distance)[:, None]
+    contact = np.sqrt(radius * seen.depth[some])
+    at = seen.centre[some] + away - carried(away, contact, shape.layers[-1][0], seen.drag[some])
+    height = dome(shape.curvature, at)[0]
     here = place[some]
     for _ in range(3):
         start, slope = rays(shape, here)
@@ -180,17 +188,17 @@ def rest_place(shape: Shape, dents: DentFamily, pixels: Pixels, seen: Surface) -
     return place
 
 
-def _dome(curvature: float, at: Array) -> tuple[Array, Array]:
+def dome(curvature: float, at: Array) -> tuple[Array, Array]:
     """Height and gradient of the dome; the root is that of a sphere, 1 − κ²ρ² kept positive."""
     root = np.sqrt(np.maximum(1 - curvature**2 * (at**2).sum(axis=-1), 0.05))
     return -curvature * (at**2).sum(axis=-1) / (1 + root), -curvature * at / root[..., None]
 
 
-def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Array, touched: NDArray, radius: float):
-    z, gradient = _dome(shape.curvature, at)
+def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Array, touched: NDArray, radius: Array):
+    z, gradient = dome(shape.curvature, at)
     away = at[touched] - centre[touched]
     distance = np.sqrt((away**2).sum(axis=1)) + 1e-12
-    dent, slope = dents.surface(distance, depth[touched], radius)
+    dent, slope = dents.surface(distance, depth[touched], radius[touched])
     z[touched] += dent
     gradient[touched] += away * (slope / distance)[:, None]
     return z, gradient
@@ -202,8 +210,7 @@ def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Arr
     some = np.flatnonzero(seen.depth > 0)
     if len(some) == 0 or light[2] > seen.point[:, 2].min() or np.hypot(light[0], light[1]) < -light[2]:
         return share
-    point, depth = seen.point[some], seen.depth[some]
-    radius = effective_radius(shape.ball_mm, shape.curvature)
+    point, depth, radius = seen.point[some], seen.depth[some], seen.radius[some]
     toward = light[:2] - point[:, :2]
     far = np.sqrt((toward**2).sum(axis=1))
     toward /= far[:, None]

@@ -33,14 +33,16 @@ GLOBALS = (
     "contact.slip",
 )
 GEOMETRY = ("away_mm", "azimuth_rad", "z_mm", "turn_rad", "elevation_rad", "log_length", "log_height")
+PRESS = ("x_mm", "y_mm", "depth_mm", "drag_x_mm", "drag_y_mm")
+"""Of a press: where the ball's apex stands, how deep it is, and how far it has been dragged since it touched."""
 VEIL_Z, VEIL_SIZE = -500.0, 150.0
 """The veil, light that comes from the sensor's inside in general, is a far square on the axis [mm]: no other light hides it."""
 
 OUT_OF_VIEW = 1.0
 """Lights that start at least so far out, in half diagonals of the field, stand beside the picture at any height; the others below the gel,
 nearer to the axis, as strips along the window's rim or in a narrow housing do."""
-NEAREST, CLEAR_MM = 0.2, 0.5
-"""Of the lights below the gel: to the axis [half diagonals], and from the gel's inner face [mm]."""
+NEAREST, CLEAR_MM, BELOW_COAT_MM = 0.2, 0.5, 0.05
+"""Of the lights below the gel: to the axis [half diagonals], from the gel's inner face [mm]; of those beside the picture, from the coat."""
 
 # name -> (standard deviation of the prior, lowest, highest)
 PRIORS = {
@@ -80,6 +82,8 @@ class Parameters:
     """Half the picture's width."""
     window: tuple[float, float, float]
     """Its thickness [mm] and index, and the gel's index."""
+    gel_half_mm: tuple[float, float] = (0.0, 0.0)
+    """Of the gel along x and y: a light there stays below its coat."""
 
     @property
     def vector(self) -> Array:
@@ -129,10 +133,10 @@ class Parameters:
             return scale * sd, scale * low, scale * high
         return (sd, low + shift, high + shift) if name.startswith("log") else (sd, low, high)
 
-    def shape(self, ball_mm: float) -> Shape:
+    def shape(self, balls_mm: Array) -> Shape:
         layers = ((self.window[0], self.window[1]), (float(self.globals[3]), self.window[2]))
         return Shape(
-            self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], ball_mm, (self.globals[7], self.globals[8])
+            self.globals[0], self.globals[1], layers, self.half_width_px, self.globals[2], balls_mm, (self.globals[7], self.globals[8])
         )
 
     def light(self, index: int) -> Array:
@@ -140,7 +144,10 @@ class Parameters:
         if index == len(self.geometry):
             return np.array([0.0, 0.0, VEIL_Z, 0.0, np.pi / 2, VEIL_SIZE, VEIL_SIZE])
         away, azimuth, z, turn, elevation, length, height = self.geometry[index]
-        place = [away * np.cos(azimuth), away * np.sin(azimuth), z]
+        at = np.array([away * np.cos(azimuth), away * np.sin(azimuth)])
+        if (np.abs(at) < self.gel_half_mm).all():
+            z = min(z, float(model.dome(self.globals[2], at)[0]) - BELOW_COAT_MM)
+        place = [*at, z]
         return np.array([*place, azimuth + np.pi + turn, elevation, np.exp(length), np.exp(height)])
 
 
@@ -167,7 +174,7 @@ def light_names(parameters: Parameters) -> list[str]:
 def to_scene(parameters: Parameters, start: Scene, resolution: tuple[int, int]) -> Scene:
     """The sensor as a scene: gel, camera, lights, coating; the rest is the start's."""
     px, distance, curvature, thickness, specular, roughness, gamma, about_x, about_y, _ = (float(value) for value in parameters.globals)
-    foot = model.foot(parameters.shape(1.0))
+    foot = model.foot(parameters.shape(np.zeros(0)))
     lights = []
     for index, (name, flux) in enumerate(zip(light_names(parameters), parameters.colours, strict=True)):
         light = parameters.light(index)

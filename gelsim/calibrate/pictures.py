@@ -21,14 +21,22 @@ def draw_comparison(path: Path, columns: Sequence[tuple[str, Sequence[NDArray]]]
     _tiles(path, columns, captions)
 
 
+def residuals(photos: Sequence[NDArray], predicted: Sequence[NDArray]) -> list[NDArray]:
+    """Photograph minus prediction, times GAIN about grey."""
+    return [np.clip(128 + GAIN * (np.asarray(a, float) - b), 0, 255) for a, b in zip(photos, predicted, strict=True)]
+
+
 def draw_residuals(path: Path, photos: Sequence[NDArray], predicted: Sequence[NDArray], captions: Sequence[str]) -> None:
     """Photograph minus prediction, times GAIN about grey, and its size over all colours."""
-    maps = [np.clip(128 + GAIN * (np.asarray(a, float) - b), 0, 255) for a, b in zip(photos, predicted, strict=True)]
     sizes = [
         np.repeat(np.clip(GAIN * np.abs(np.asarray(a, float) - b).mean(axis=2, keepdims=True), 0, 255), 3, axis=2)
         for a, b in zip(photos, predicted, strict=True)
     ]
-    _tiles(path, ((f"photograph - prediction, x {GAIN:g}", maps), (f"mean of |difference|, x {GAIN:g}", sizes)), captions)
+    _tiles(
+        path,
+        ((f"photograph - prediction, x {GAIN:g}", residuals(photos, predicted)), (f"mean of |difference|, x {GAIN:g}", sizes)),
+        captions,
+    )
 
 
 def _tiles(path: Path, columns: Sequence[tuple[str, Sequence[NDArray]]], captions: Sequence[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ from gelsim.scene.layers import PRESET_SECTIONS
 DIGITS = 6
 
 
-def write_preset(path: Path, scene: Scene, report: Mapping[str, Any], name: str) -> None:
-    """Writes the preset as TOML; numbers with six digits."""
+def fitted_head(report: Mapping[str, Any], name: str) -> list[str]:
+    """What stands above a sensor that was fitted."""
     fit, parts = report["fit"], report["parameters"]
     given = [
         f"{key} {entry['value']:.4g} ± {entry['sd']:.2g}"
@@ -23,13 +23,18 @@ def write_preset(path: Path, scene: Scene, report: Mapping[str, Any], name: str)
         if entry["state"] == "determined" and "shading" not in key
     ]
     count = sum(row["split"] == "train" for row in report["presses"])
-    lines = [
-        f"# {name}: fitted by `gelsim calibrate` to {count} photographs of a pressed ball;",
-        f"# what is left between them and the fit is {fit['rms_levels']:.1f} levels of 255 (root mean square).",
-        "# Albedo, flake reflectance, white balance and exposure are conventions: no photograph tells them from the lights' powers.",
-        "# Determined by the photographs (value ± standard deviation):",
-        *(f"#   {text}" for text in given),
+    return [
+        f"{name}: fitted by `gelsim calibrate` to {count} photographs of a pressed ball;",
+        f"what is left between them and the fit is {fit['rms_levels']:.1f} levels of 255 (root mean square).",
+        "Albedo, flake reflectance, white balance and exposure are conventions: no photograph tells them from the lights' powers.",
+        "Determined by the photographs (value ± standard deviation):",
+        *(f"  {text}" for text in given),
     ]
+
+
+def write_preset(path: Path, scene: Scene, head: Sequence[str]) -> None:
+    """Writes the preset as TOML; numbers with six digits, `head` as comments above them."""
+    lines = [f"# {text}" for text in head]
     for section in PRESET_SECTIONS:
         lines += ["", f"[{section}]", *_keys(getattr(scene, section))]
         if section == "lights":

@@ -20,20 +20,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.calibrate import dots, drawing, pictures
+from gelsim.calibrate import dots, drawing, pictures, resting
 from gelsim.calibrate import start as beginning
 from gelsim.calibrate.dent import SHALLOWEST, Dents, effective_radius, solve_dents
 from gelsim.calibrate.fit import Data, Fitted, brightness, fit
-from gelsim.calibrate.model import Rest
-from gelsim.calibrate.parameters import GLOBALS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
+from gelsim.calibrate.model import Rest, rays
+from gelsim.calibrate.parameters import GLOBALS, PRESS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
-from gelsim.calibrate.preset import write_preset
-from gelsim.data.metrics import picture_errors
+from gelsim.calibrate.preset import fitted_head, write_preset
+from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
-from gelsim.optics.rest import even_part, save_levels
+from gelsim.optics.rest import even_part, rest_name, save_levels
 from gelsim.pipeline import outputs
-from gelsim.scene.definition import Scene
-from gelsim.scene.layers import build_scene, preset_names
+from gelsim.scene.definition import Gel, Scene
+from gelsim.scene.layers import build_scene, is_preset
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -42,8 +42,6 @@ FIT_WIDTH = 160
 """Pictures are averaged down to at most this width for the fit; the predictions are scored at full size."""
 MOST_PIXELS = 9000
 """Compared in one fit, in all photographs together: more changed the squared error on test presses by less than 3 %, and take longer."""
-FELT = 2.2
-"""Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 LEAST_REACH = 0.12
 """Of the picture's width, likewise: dots move farther than light changes."""
 NEEDED = 1.05
@@ -57,6 +55,8 @@ VALIDATION = 4
 """One in so many presses is left out of the fit to judge its states; with fewer than twice as many, those of the fit judge."""
 UNDETERMINED = 0.7
 """A parameter whose uncertainty is more than this share of its prior's was not determined by the photographs."""
+DRAG_SD, UNDRAGGED = 0.3, 1e-6
+"""Of the priors of how far a ball was dragged since it touched, by hand and not at all [mm]."""
 CROP = 0.625
 """Side of the square about a dent that is scored too, over the picture's width: 400 of 640."""
 
@@ -79,6 +79,8 @@ class _Job:
     small_path: Path
     contacts: Array
     """Of the dents: column, row, radius in reduced pixels, shape (P, 3)."""
+    counted: NDArray[np.bool_]
+    """Pixels that show gel alone, shape (h, w)."""
     dents: Dents
     frozen_globals: NDArray[np.bool_]
     device: str
@@ -90,13 +92,16 @@ class _Job:
 
     def reach(self, some: NDArray[np.int64]) -> Array:
         """How far from its middle a dent is compared [reduced pixels]."""
-        return np.maximum(FELT * self.contacts[some, 2], LEAST_REACH * self.size[0])
+        return np.maximum(beginning.FELT * self.contacts[some, 2], LEAST_REACH * self.size[0])
 
     def data(self, some: NDArray[np.int64], correction: Array | None, most: int = MOST_PIXELS) -> Data:
         reach = self.reach(some)
         stride = max(int(np.ceil(np.sqrt(np.pi * (reach**2).sum() / most))), 1)
         picked = None if correction is None else correction[some]
-        return beginning.gather(self.reduced[some], self.contacts[some], reach, self.small, stride=stride, correction=picked)
+        balls = self.photos.balls_mm[some]
+        return beginning.gather(
+            self.reduced[some], self.contacts[some], reach, self.small, balls, self.counted, stride=stride, correction=picked
+        )
 
     def frozen(self, parameters: Parameters) -> NDArray[np.bool_]:
         frozen = np.zeros(parameters.vector.size, bool)
@@ -119,9 +124,12 @@ def calibrate(
     """
     begun = time.perf_counter()
     target = _check_out(out, force)
-    photos = read_photos(folder)
+    photos, warnings = _balls_of(folder)
+    if not photos.files:
+        return resting.at_rest(photos, target, out, sensor, device)
+    if photos.gel is not None:
+        photos = replace(photos, counted=_within_gel(photos, photos.gel, warnings))
     show = progress or (lambda stage, done, total: None)
-    warnings: list[str] = []
     with tempfile.TemporaryDirectory() as scratch:
         job, mm_per_px = _prepare(photos, _base(sensor), Path(scratch), device, show, warnings)
         full_rest = Path(scratch) / "full.png"
@@ -132,30 +140,40 @@ def calibrate(
         if len(judged):
             states.append(_of_all(job, state, presses, sd, judged, show))
             state = min(state, states[-1], key=lambda each: each.error)
-        places, press_sd = presses.copy(), np.full((len(presses), 3), np.nan)
+        places, press_sd = presses.copy(), np.full(presses.shape, np.nan)
         count = state.fitted.parameters.vector.size
         spread = np.sqrt(np.maximum(np.diag(state.fitted.covariance), 0))
-        places[state.which], press_sd[state.which] = state.fitted.presses, spread[count:].reshape(-1, 3)
+        places[state.which], press_sd[state.which] = state.fitted.presses, spread[count:].reshape(-1, len(PRESS))
         others = np.setdiff1d(np.arange(len(presses)), state.which)
+        test, dragged = np.flatnonzero(photos.test), places.copy()
         if len(others):
-            found = _locate(job, state, places[others], sd[others], others, show)
-            places[others] = found.presses
-            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, 3)
+            # Of a test press three numbers are found, place and depth; drag is found beside them, and said apart.
+            straight = sd.copy()
+            straight[:, 3:] = UNDRAGGED
+            found = _locate(job, state, _rough(job, state.fitted.parameters)[others], straight[others], others, show)
+            dragged[others] = places[others] = found.presses
+            if photos.markers:
+                found = _locate(job, state, places[others], sd[others], others, show)
+                dragged[others] = found.presses
+            press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, len(PRESS))
+            places[~photos.test] = dragged[~photos.test]
         fitted = state.fitted
 
         scene = _full_scene(job, fitted.parameters, full_rest)
         if photos.markers:
-            grid = dots.marker_grid(photos.no_contact, fitted.parameters.globals[0] / job.factor)
+            grid = dots.grid_of(scene, photos.no_contact)
             if grid is None:
-                warnings.append("markers = true, but no grid of dark spots is seen in no_contact: where their centres are is not known")
+                warnings.append(dots.NO_GRID)
             else:
                 scene = scene.replace(markers=grid)
-        shown_rest, shown = _draw(job, scene, fitted.parameters, places, SCORE_SPP, show, "pictures")
-        test = np.flatnonzero(photos.test)
+        shown_rest, shown = _draw(job, scene, fitted.parameters, places, np.arange(len(places)), SCORE_SPP, show, "pictures")
         rows = _rows(test if len(test) else np.flatnonzero(~photos.test))
         before = _full_scene(job, first, full_rest)
-        before_rest, before_shown = _draw(job, before, first, presses[rows], CORRECTION_SPP, show, "before")
+        before_rest, before_shown = _draw(job, before, first, presses[rows], rows, CORRECTION_SPP, show, "before")
         report = _report(job, scene, fitted, state.believed, places, press_sd, shown_rest, shown, warnings)
+        if len(test) and photos.markers:
+            _, drawn = _draw(job, scene, fitted.parameters, dragged[test], test, SCORE_SPP, show, "dragged")
+            report["scores"]["test_dragged"] = _dragged(report, photos, test, dragged[test], drawn)
         report["states"] = {
             "presses_left_out": [photos.files[index] for index in judged],
             "judged_by": "presses of the fit that were left out" if len(judged) else "the presses of the fit: too few to leave some out",
@@ -167,6 +185,22 @@ def calibrate(
         assert isinstance(plain, dict)
         _write(target, out, scene, plain, job, sensor, rows, (shown_rest, shown[rows]), (before_rest, before_shown))
     return plain
+
+
+def _balls_of(folder: Path) -> tuple[Photos, list[str]]:
+    """What can be fitted to, and what is said of the rest: presses of other objects are for `gelsim compare`."""
+    photos = read_photos(folder)
+    other = np.isnan(photos.balls_mm)
+    for index in np.flatnonzero(other & ~photos.test):
+        raise SceneError(
+            f"{folder / photos.files[index]}: shape = {photos.bodies[index].shape!r}: a sensor is fitted to rigid balls; with split = test "
+            "the press is left for gelsim compare"
+        )
+    balls = photos.only(~other)
+    if balls.test.all() and len(photos.files):
+        raise SceneError(f"--photos {folder}: no press to fit to; at least one picture of a ball that is not split = test")
+    warned = f"{other.sum()} presses of other objects are neither fitted nor scored here: gelsim compare draws them"
+    return balls, [warned] if other.any() else []
 
 
 @dataclass
@@ -196,12 +230,13 @@ def _states(job: _Job, mm_per_px: float, show: Progress) -> tuple[Parameters, Ar
     sd = _press_sd(job, presses)
     data = job.data(kept, None)
     show("lights", 0, 1)
-    first = beginning.choose_lights(seed, presses[kept], data, job.dents, job.photos.ball_mm)
+    first = beginning.choose_lights(seed, presses[kept], data, job.dents)
     show("lights", 1, 1)
     fitted = _fit(job, first, presses[kept], sd[kept], data, first, 30, "fit", show)
     believed, fitted = _without_needless_lights(job, first, fitted, sd[kept], data, show)
     presses[kept] = fitted.presses
     states = [_State("fit", fitted, believed, kept, None)]
+    presses[judging] = _rough(job, fitted.parameters)[judging]
     for number in range(ROUNDS + 1):
         state = states[-1]
         if len(judging):
@@ -234,58 +269,47 @@ def _of_all(job: _Job, state: _State, presses: Array, sd: Array, judged: NDArray
 def _dent_error(job: _Job, pictures: Array, which: NDArray[np.int64]) -> float:
     """Mean squared error where dents are compared, over all of these presses."""
     rows, columns = np.mgrid[: pictures.shape[1], : pictures.shape[2]] + 0.5
-    near = [np.hypot(columns - c[0], rows - c[1]) <= reach for c, reach in zip(job.contacts[which], job.reach(which), strict=True)]
+    near = [
+        (np.hypot(columns - c[0], rows - c[1]) <= reach) & job.counted
+        for c, reach in zip(job.contacts[which], job.reach(which), strict=True)
+    ]
     return float(((pictures[which] - job.reduced[which]) ** 2)[np.array(near)].mean())
 
 
 def summary(report: Mapping[str, Any]) -> str:
     """A report in a few lines for people."""
-    lines = [f"{report['out']}: {len(report['presses'])} presses, {report['seconds']:.0f} s"]
+    lines = [f"{report['out']}: {len(report['presses'])} presses, {report.get('seconds', 0):.0f} s"]
     for split, score in report["scores"].items():
-        whole = score["whole"]
-        lines.append(
-            f"{split:<20} L1 {whole['l1']:.2f}  MSE {whole['mse']:.1f}  SSIM {whole['ssim']:.3f}  PSNR {whole['psnr_db']:.1f} dB"
-            f"  ({score['count']} pictures)"
-        )
+        lines.append(f"{said(split, score['whole'])}  ({score['count']} pictures)")
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
 
 
 def _check_out(out: Path, force: bool) -> outputs.ResultFolder:
     if out.suffix != ".toml":
         raise SceneError(f"--out {out}: a sensor preset ends in .toml")
-    for path in (out, *(out.parent / name for name in (_rest_name(out), "report.json", "comparison.png", "residuals.png"))):
+    for path in (out, *(out.parent / name for name in (rest_name(out), "report.json", "comparison.png", "residuals.png"))):
         if path.exists() and not force:
             raise SceneError(f"--out {out}: {path} exists; give --force to write over it, or another folder")
     return outputs.ResultFolder(out.parent, resume=True)
 
 
-def _save(levels: Array, path: Path) -> None:
-    save_levels(levels, path)
-
-
-def _rest_name(out: Path) -> str:
-    return f"{out.stem}_rest.png"
-
-
-def _is_preset(sensor: str) -> bool:
-    return sensor in preset_names() or sensor.endswith(".toml")
-
-
 def _base(sensor: str | None) -> Scene:
     """Gel, window, camera of the start: a shipped preset's, without its lights and markers."""
-    start = build_scene({"sensor": {"preset": sensor if sensor and _is_preset(sensor) else "fingertip2017"}})
+    start = build_scene({"sensor": {"preset": sensor if sensor and is_preset(sensor) else "fingertip2017"}})
     # The veil stands for what the window returns; the fit's camera is upright on the axis.
-    camera = replace(start.camera, offset_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0), distortion=(0.0, 0.0), fresnel=False, tone="srgb")
+    upright = replace(start.camera, offset_mm=(0.0, 0.0), tilt_deg=(0.0, 0.0), distortion=(0.0, 0.0), fresnel=False, tone="srgb")
+    camera = replace(upright, rest=None, rest_smooth=())
     return empty_scene(start.gel, camera, replace(start.lights, window_reflection=False))
 
 
 def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Progress, warnings: list[str]) -> tuple[_Job, float]:
     """Reduced pictures, contacts, rest and dents; and the scale of the start [mm a reduced pixel]."""
     factor = int(np.ceil(photos.size[0] / FIT_WIDTH))
-    reduced, no_contact = _reduce(photos.pictures, factor), _reduce(photos.no_contact[None], factor)[0]
+    reduced, no_contact = beginning.reduce(photos.pictures, factor), beginning.reduce(photos.no_contact[None], factor)[0]
+    counted = beginning.reduce(np.repeat(photos.counted[None, ..., None], 3, axis=3).astype(float), factor)[0, ..., 0] > 0.999
     if photos.gel is not None:
         base = base.replace(gel=photos.gel)
-    contacts, sure = beginning.find_contacts(no_contact, reduced)
+    contacts, sure = beginning.find_contacts(no_contact, reduced, counted)
     # What a person marked is believed.
     marked = np.column_stack([photos.hints[:, :2], beginning.DRAPE * photos.radii]) / factor
     contacts = np.where(np.isfinite(marked), marked, contacts)
@@ -296,54 +320,88 @@ def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Prog
             f"no contact can be seen in {', '.join(lost[:5])}: they differ from no_contact nowhere; leave them out of presses.csv"
         )
     train = ~photos.test
-    rest = beginning.rest_picture(photos.no_contact, photos.pictures[train], contacts[train] * factor, FELT)
+    rest = beginning.rest_picture(photos.no_contact, photos.pictures[train], contacts[train] * factor, beginning.FELT)
     # Eight bits here too: the renderer reads the picture from a file.
     small_path = scratch / "small.png"
-    small = save_levels(_reduce(rest[None], factor)[0], small_path)
+    small = save_levels(beginning.reduce(rest[None], factor)[0], small_path)
     clipped = float((reduced >= 254.5).mean())
     if clipped > 0.02:
         warnings.append(f"{100 * clipped:.0f} % of the values are at 255: what is clipped says nothing; photograph with less exposure")
     if (~photos.test).sum() < 5:
         warnings.append(f"{(~photos.test).sum()} presses to fit to: twenty that cover the picture determine a sensor better")
     mm_per_px = photos.mm_per_px or base.camera.field_mm[0] / photos.size[0]
-    radius = effective_radius(photos.ball_mm, curvature_of(base.gel))
-    dents = solve_dents(base.gel, radius, photos.gel is not None, lambda done, total: show("dents", done, total))
+    dents = solve_dents(
+        base.gel,
+        effective_radius(photos.balls_mm, curvature_of(base.gel)),
+        photos.gel is not None,
+        lambda done, total: show("dents", done, total),
+    )
     frozen = np.zeros(len(GLOBALS), bool)
     frozen[GLOBALS.index("camera.mm_per_px")] = photos.mm_per_px is not None
     for name in ("gel.curvature", "gel.thickness_mm"):
         frozen[GLOBALS.index(name)] = photos.gel is not None
     kept = Rest(small, even_part(small))
-    return _Job(photos, base, factor, reduced, rest, kept, small_path, contacts, dents, frozen, device), mm_per_px * factor
+    return _Job(photos, base, factor, reduced, rest, kept, small_path, contacts, counted, dents, frozen, device), mm_per_px * factor
 
 
-def _reduce(pictures: Array, factor: int) -> Array:
-    """Means over squares of `factor` pixels, from the top left corner; what is left over is cut off."""
-    count, height, width = pictures.shape[:3]
-    rows, columns = height // factor, width // factor
-    return pictures[:, : rows * factor, : columns * factor].reshape(count, rows, factor, columns, factor, 3).mean(axis=(2, 4))
+def _within_gel(photos: Photos, gel: Gel, warnings: list[str]) -> NDArray[np.bool_]:
+    """Pixels that are counted: those that show the gel that was given, where the scale is known.
+
+    Raises:
+        SceneError: A ball is larger than the gel.
+    """
+    longest = max(gel.size_mm)
+    for name, radius in zip(photos.files, photos.balls_mm, strict=True):
+        if 2 * radius > longest:
+            raise SceneError(
+                f"{name}: a ball of {radius:g} mm radius is larger than the gel, {longest:g} mm at its longer side: check that it is the "
+                "radius, not the diameter, and [gel] size_mm"
+            )
+    if photos.mm_per_px is None:
+        return photos.counted
+    half = [size / 2 / photos.mm_per_px for size in gel.size_mm]
+    rows, columns = np.mgrid[: photos.size[1], : photos.size[0]] + 0.5
+    within = (np.abs(columns - photos.size[0] / 2) <= half[0]) & (np.abs(rows - photos.size[1] / 2) <= half[1])
+    if (photos.counted & ~within).any():
+        warnings.append(f"the gel is smaller than the picture: {100 * (1 - within.mean()):.0f} % of it is neither fitted nor scored")
+    return photos.counted & within
 
 
 def _seed(job: _Job, mm_per_px: float) -> tuple[Parameters, Array]:
-    photos = job.photos
     curvature, thickness = curvature_of(job.base.gel), job.base.gel.thickness_mm
     values = np.array([mm_per_px, job.base.camera.distance_mm, curvature, thickness, 0.1, 0.4, 1.0, 0.0, 0.0, 0.5])
     half_field = 0.5 * float(np.hypot(*job.size)) * mm_per_px
     lights = job.base.lights
     window = (lights.window_thickness_mm, lights.window_ior, lights.gel_ior)
-    seed = Parameters(values, np.zeros((0, 7)), np.ones((1, 3)), half_field, job.size[0] / 2, window)
-    presses = beginning.rough_presses(job.contacts, mm_per_px, job.size, photos.ball_mm, curvature, job.dents.deepest_mm)
-    for k in range(2):
-        given = np.isfinite(photos.hints[:, k])
-        places = (photos.hints[given, k] / job.factor - job.size[k] / 2) * mm_per_px * (1 + photos.ball_mm * curvature)
-        presses[given, k] = places
+    seed = Parameters(
+        values,
+        np.zeros((0, 7)),
+        np.ones((1, 3)),
+        half_field,
+        job.size[0] / 2,
+        window,
+        (job.base.gel.size_mm[0] / 2, job.base.gel.size_mm[1] / 2),
+    )
+    return seed, _rough(job, seed)
+
+
+def _rough(job: _Job, parameters: Parameters) -> Array:
+    """Presses by where their contacts are seen, how wide, and what was given, under a sensor; undragged."""
+    photos, curvature = job.photos, parameters.globals[2]
+    deepest = job.dents.deepest(effective_radius(photos.balls_mm, curvature))
+    place = np.where(np.isfinite(photos.hints[:, :2]), photos.hints[:, :2] / job.factor, job.contacts[:, :2])
+    touched, _ = rays(parameters.shape(photos.balls_mm), place - np.array(job.size) / 2)
+    apex = touched * (1 + photos.balls_mm * curvature)[:, None]
+    presses = beginning.rough_presses(apex, job.contacts[:, 2] * parameters.globals[0], photos.balls_mm, deepest)
     given = np.isfinite(photos.hints[:, 2])
-    presses[given, 2] = np.minimum(photos.hints[given, 2], job.dents.deepest_mm)
-    return seed, presses
+    presses[given, 2] = np.minimum(photos.hints[given, 2], deepest[given])
+    return presses
 
 
 def _press_sd(job: _Job, presses: Array) -> Array:
-    """Priors of the presses: wide, but for a depth that was given."""
-    sd = np.tile([2.0, 2.0, 1.0], (len(presses), 1))
+    """Priors of the presses: wide, but for a depth that was given, and for drag, which only markers show."""
+    drag = DRAG_SD if job.photos.markers else UNDRAGGED
+    sd = np.tile([2.0, 2.0, 1.0, drag, drag], (len(presses), 1))
     sd[np.isfinite(job.photos.hints[:, 2]), 2] = 1e-3
     return sd
 
@@ -352,7 +410,7 @@ def _fit(
     job: _Job, begin: Parameters, presses: Array, sd: Array, data: Data, believed: Parameters, iterations: int, name: str, show: Progress
 ) -> Fitted:  # fmt: skip
     return fit(
-        begin, presses, data, job.dents, job.photos.ball_mm, believed=believed, press_sd=sd, frozen=job.frozen(begin),
+        begin, presses, data, job.dents, believed=believed, press_sd=sd, frozen=job.frozen(begin),
         iterations=iterations, progress=lambda done, total: show(name, done, total),
     )  # fmt: skip
 
@@ -363,7 +421,7 @@ def _without_needless_lights(
     """The start and the rough fit less the lights that it does as well without: the start's lights stand on a grid, and a place between two
     of its points took two of them. The weakest goes first, until one is needed."""
     while len(rough.parameters.geometry) > 1:
-        lit = brightness(rough.parameters, rough.presses, data, job.dents, job.photos.ball_mm)
+        lit = brightness(rough.parameters, rough.presses, data, job.dents)
         kept = np.delete(np.arange(len(lit) + 1), int(lit.argmin()))
         fewer, begin = (replace(each, geometry=each.geometry[kept[:-1]], colours=each.colours[kept]) for each in (first, rough.parameters))
         trial = _fit(job, begin, rough.presses, sd, data, fewer, 10, f"fit of {len(kept) - 1} lights", show)
@@ -377,7 +435,7 @@ def _locate(job: _Job, state: _State, presses: Array, sd: Array, which: NDArray[
     """Places and depths of presses with the sensor held."""
     parameters = state.fitted.parameters
     return fit(
-        parameters, presses, job.data(which, state.correction, 2 * MOST_PIXELS), job.dents, job.photos.ball_mm, press_sd=sd,
+        parameters, presses, job.data(which, state.correction, 2 * MOST_PIXELS), job.dents, press_sd=sd,
         frozen=np.ones(parameters.vector.size, bool), iterations=15, progress=lambda done, total: show("locate", done, total),
     )  # fmt: skip
 
@@ -393,10 +451,13 @@ def _with_rest(scene: Scene, rest: Path) -> Scene:
     return scene.replace(camera=replace(scene.camera, rest=str(rest)))
 
 
-def _draw(job: _Job, scene: Scene, parameters: Parameters, presses: Array, spp: int, show: Progress, name: str) -> tuple[Array, Array]:
+def _draw(
+    job: _Job, scene: Scene, parameters: Parameters, presses: Array, which: NDArray[np.int64], spp: int, show: Progress, name: str
+) -> tuple[Array, Array]:  # fmt: skip
+    """The picture at rest, and those of presses, whose numbers are `which`."""
     scene = scene.replace(render=replace(scene.render, mode="path", spp=spp))
     rest, images = drawing.draw(
-        scene, job.dents.at(parameters.globals[3], parameters.globals[9]), job.photos.ball_mm, list(presses), device=job.device,
+        scene, job.dents.at(parameters.globals[3], parameters.globals[9]), job.photos.balls_mm[which], list(presses), device=job.device,
         progress=lambda done, total: show(name, done, total),
     )  # fmt: skip
     return rest.astype(float), images.astype(float)
@@ -409,9 +470,9 @@ def _correction(job: _Job, state: _State, presses: Array, which: NDArray[np.int6
     height, width = job.reduced.shape[1:3]
     fitted = replace(state.fitted, presses=presses[which])
     scene = _with_rest(to_scene(fitted.parameters, job.base, (width, height)), job.small_path)
-    _, images = _draw(job, scene, fitted.parameters, fitted.presses, CORRECTION_SPP, show, name)
+    _, images = _draw(job, scene, fitted.parameters, fitted.presses, which, CORRECTION_SPP, show, name)
     middles, means = beginning.model_pictures(
-        fitted, job.small, job.dents, job.photos.ball_mm, job.contacts[which], job.reach(which), images
+        fitted, job.small, job.dents, job.photos.balls_mm[which], job.contacts[which], job.reach(which), images
     )
     # What inter-reflection adds is smooth, so that the renderer's noise can be smoothed away; what a pixel averages over is not.
     added = gaussian_filter(images - means, (0, SMOOTHING, SMOOTHING, 0)) + (means - middles)
@@ -425,13 +486,11 @@ def _rows(which: NDArray[np.int64]) -> NDArray[np.int64]:
     return which[np.unique(np.linspace(0, len(which) - 1, pictures.MOST_ROWS - 1).round().astype(int))]
 
 
-def _crop(picture: Array, place: Array) -> Array:
-    """The square of CROP about a place (column, row), moved inside the picture."""
-    height, width = picture.shape[:2]
-    side = min(round(CROP * width), height)
-    column = int(np.clip(place[0] - side / 2, 0, width - side))
-    row = int(np.clip(place[1] - side / 2, 0, height - side))
-    return picture[row : row + side, column : column + side]
+def _crop(size: tuple[int, int], place: Array) -> tuple[slice, slice]:
+    """Rows and columns of the square of CROP about a place (column, row), moved inside the picture."""
+    side = min(round(CROP * size[0]), size[1])
+    column, row = (int(np.clip(at - side / 2, 0, most - side)) for at, most in zip(place, size, strict=True))
+    return slice(row, row + side), slice(column, column + side)
 
 
 def _report(
@@ -462,24 +521,27 @@ def _report(
             loose.append(shown_name)
     if loose:
         warnings.append(f"the photographs do not determine {', '.join(loose)}: kept near the start, or at a bound")
-    pixels = (places[:, :2] / (1 + photos.ball_mm * fitted.parameters.globals[2])) / fitted.parameters.globals[0] * job.factor
+    pixels = (places[:, :2] / (1 + photos.balls_mm * fitted.parameters.globals[2])[:, None]) / fitted.parameters.globals[0] * job.factor
     pixels += np.array(photos.size) / 2
     rows, scores = [], {}
-    rest_errors = picture_errors(shown_rest, photos.no_contact)
+    rest_errors = picture_errors(shown_rest, photos.no_contact, photos.counted)
     for index, file in enumerate(photos.files):
         split = "test" if photos.test[index] else "train"
-        whole = picture_errors(shown[index], photos.pictures[index])
-        crop = picture_errors(_crop(shown[index], pixels[index]), _crop(photos.pictures[index], pixels[index]))
-        unmoved = picture_errors(photos.no_contact, photos.pictures[index])
-        unmoved_crop = picture_errors(_crop(photos.no_contact, pixels[index]), _crop(photos.pictures[index], pixels[index]))
+        near, seen = _crop(photos.size, pixels[index]), photos.pictures[index]
+        pairs = [
+            (picture_errors(each, seen, photos.counted), picture_errors(each[near], seen[near], photos.counted[near]))
+            for each in (shown[index], photos.no_contact)
+        ]
+        (whole, crop), unmoved = pairs
         rows.append(
             {
-                "file": file, "split": split, "offset_mm": places[index, :2], "depth_mm": places[index, 2], "sd_mm": press_sd[index],
+                "file": file, "split": split, "offset_mm": places[index, :2], "depth_mm": places[index, 2],
+                "sd_mm": press_sd[index, :3], "drag_mm": places[index, 3:],
                 "col_px": pixels[index, 0], "row_px": pixels[index, 1], "whole": whole, "crop": crop,
             }
         )  # fmt: skip
         scores.setdefault(split, []).append((whole, crop))
-        scores.setdefault(f"no_contact_as_{split}", []).append((unmoved, unmoved_crop))
+        scores.setdefault(f"no_contact_as_{split}", []).append(unmoved)
     means = {name: _mean_scores(pairs) for name, pairs in scores.items()}
     splits = [split for split in ("train", "test") if split in means]
     ratios = {split: means[split]["whole"]["mse"] / means[f"no_contact_as_{split}"]["whole"]["mse"] for split in splits}
@@ -490,11 +552,13 @@ def _report(
             f"{means[judge]['whole']['mse']:.1f}, not {means[f'no_contact_as_{judge}']['whole']['mse']:.1f}): do not use it; "
             f"{_advice(photos)}"
         )
-    for bound, what in ((job.dents.deepest_mm, "deepest that is solved"), (SHALLOWEST, "least")):
-        names = [name for name, depth in zip(photos.files, places[:, 2], strict=True) if np.isclose(depth, bound, rtol=1e-3)]
-        if names:
+    deepest = job.dents.deepest(effective_radius(photos.balls_mm, fitted.parameters.globals[2]))
+    for bounds, what in ((deepest, "deepest that is solved"), (np.full(len(deepest), SHALLOWEST), "least")):
+        at = np.flatnonzero(np.isclose(places[:, 2], bounds, rtol=1e-3))
+        if len(at):
             warnings.append(
-                f"depth at its bound of {bound:.2g} mm, the {what}: {', '.join(names[:6])}; {_advice(photos)}, or leave them out"
+                f"depth at its bound of {bounds[at[0]]:.2g} mm, the {what}: {', '.join(photos.files[index] for index in at[:6])}; "
+                f"{_advice(photos)}, or leave them out"
             )
     return {
         "parameters": table,
@@ -517,6 +581,18 @@ def _report(
         "versions": {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "mitsuba")},
         "warnings": warnings,
     }
+
+
+def _dragged(report: dict[str, Any], photos: Photos, test: NDArray[np.int64], presses: Array, drawn: Array) -> dict[str, Any]:
+    """Scores of test presses of which drag is found too; puts what was found into their rows."""
+    pairs = []
+    for index, press, picture in zip(test, presses, drawn, strict=True):
+        row = report["presses"][index]
+        whole = picture_errors(picture, photos.pictures[index], photos.counted)
+        near = _crop(photos.size, np.array([row["col_px"], row["row_px"]]))
+        pairs.append((whole, picture_errors(picture[near], photos.pictures[index][near], photos.counted[near])))
+        row["dragged"] = {"offset_mm": press[:2], "depth_mm": press[2], "drag_mm": press[3:], "whole": whole}
+    return _mean_scores(pairs)
 
 
 def _advice(photos: Photos) -> str:
@@ -548,8 +624,8 @@ def _write(
     columns = (("photograph", seen), ("before: the start", began), ("after: the fitted sensor", fitted))
     folder.write("comparison.png", lambda path: pictures.draw_comparison(path, columns, captions))
     folder.write("residuals.png", lambda path: pictures.draw_residuals(path, seen, fitted, captions))
-    folder.write(_rest_name(out), lambda path: _save(job.rest, path))
+    folder.write(rest_name(out), lambda path: save_levels(job.rest, path))
     folder.write("report.json", lambda path: outputs.write_report(path, report))
-    name = out.stem if sensor is None or _is_preset(sensor) else sensor
-    written = scene.replace(camera=replace(scene.camera, rest=_rest_name(out)))
-    folder.write(out.name, lambda path: write_preset(path, written, report, name))
+    name = out.stem if sensor is None or is_preset(sensor) else sensor
+    written = scene.replace(camera=replace(scene.camera, rest=rest_name(out)))
+    folder.write(out.name, lambda path: write_preset(path, written, fitted_head(report, name)))

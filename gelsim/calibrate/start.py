@@ -33,8 +33,19 @@ DOT = 20
 """Windows across the picture that a dot takes less than half of."""
 OUTVOTED = 6
 """Photographs that outvote their dents."""
+AGREED = 3
+"""Photographs that make a rest with the one without contact: of fewer, one whose dent was found wrongly would decide."""
+FELT = 2.2
+"""Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 BLOCK = 12
 """Side of the pixel blocks that share errors [pixels of the fit]."""
+
+
+def reduce(pictures: Array, factor: int) -> Array:
+    """Means over squares of `factor` pixels, from the top left corner; what is left over is cut off."""
+    count, height, width = pictures.shape[:3]
+    rows, columns = height // factor, width // factor
+    return pictures[:, : rows * factor, : columns * factor].reshape(count, rows, factor, columns, factor, 3).mean(axis=(2, 4))
 
 
 def even_light(pictures: Array) -> Array:
@@ -45,7 +56,7 @@ def even_light(pictures: Array) -> Array:
     return np.asarray(ndimage.percentile_filter(pictures, UPPER, size=(1, side, side, 1)))
 
 
-def find_contacts(no_contact: Array, photos: Array) -> tuple[Array, NDArray[np.bool_]]:
+def find_contacts(no_contact: Array, photos: Array, counted: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     """Middle (column, row) and radius of each dent [px], shape (P, 3), and whether one was found.
 
     Of a median over all photographs the dents are outvoted where there are enough of them.
@@ -60,7 +71,7 @@ def find_contacts(no_contact: Array, photos: Array) -> tuple[Array, NDArray[np.b
     for index in range(len(photos)):
         difference = even[1 + index] - rest
         # Slow drifts of colour are no contact.
-        difference = difference - np.median(difference, axis=(0, 1))
+        difference = (difference - np.median(difference[counted], axis=0)) * counted[..., None]
         size = np.sqrt((ndimage.gaussian_filter(difference, (0.012 * width, 0.012 * width, 0)) ** 2).sum(axis=2))
         level = max(0.3 * np.percentile(size, 99.7), 2.0)
         labels, count = ndimage.label(size > level)  # type: ignore[misc]
@@ -78,7 +89,7 @@ def find_contacts(no_contact: Array, photos: Array) -> tuple[Array, NDArray[np.b
 def rest_picture(no_contact: Array, photos: Array, contacts: Array, felt: float) -> Array:
     """The picture without contact, shape (H, W, 3): of each pixel the median of the photographs whose dents are farther from it than `felt`
     times their radius, where there are enough of them; a sensor drifts between its no-contact photograph and the others."""
-    if len(photos) < OUTVOTED:
+    if len(photos) < AGREED:
         return no_contact
     rows, columns = np.mgrid[: no_contact.shape[0], : no_contact.shape[1]] + 0.5
     stack = np.concatenate([no_contact[None], photos])
@@ -87,27 +98,32 @@ def rest_picture(no_contact: Array, photos: Array, contacts: Array, felt: float)
     return np.nanmedian(stack, axis=0)
 
 
-def gather(photos: Array, contacts: Array, reach: Array, rest: model.Rest, *, stride: int, correction: Array | None = None) -> Data:
+def gather(
+    photos: Array, contacts: Array, reach: Array, rest: model.Rest, balls_mm: Array, counted: NDArray[np.bool_], *, stride: int,
+    correction: Array | None = None,
+) -> Data:  # fmt: skip
     """The pixels that are fitted: of each photograph those near its dent. Far ones are the rest, whatever the sensor.
 
     Args:
         contacts: Column and row of each dent's middle [px]; `reach` how far from it its dent is felt [px], shape (P,).
+        counted: Pixels that show gel, shape (H, W).
         stride: Every so many pixels along both axes.
         correction: What the renderer adds to the model, of each photograph (P, H, W, 3) [levels].
     """
     height, width = photos.shape[1:3]
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
-    rows, columns = rows.ravel(), columns.ravel()
+    shown = counted[rows, columns]
+    rows, columns = rows[shown], columns[shown]
     press, pixel = np.nonzero(np.hypot(columns + 0.5 - contacts[:, :1], rows + 0.5 - contacts[:, 1:2]) <= reach[:, None])
     row, column = rows[pixel], columns[pixel]
     block = (row // (BLOCK * stride)) * 1000 + column // (BLOCK * stride) + 10**6 * press
     place = np.column_stack([column + 0.5 - width / 2, row + 0.5 - height / 2])
     level = photos[press, row, column]
     added = correction[press, row, column] if correction is not None else np.zeros_like(level)
-    return Data(model.Pixels(place, press), level, np.ones_like(level), np.unique(block, return_inverse=True)[1], rest, added)
+    return Data(model.Pixels(place, press), level, np.ones_like(level), np.unique(block, return_inverse=True)[1], rest, added, balls_mm)
 
 
-def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, ball_mm: float, contacts: Array, reach: Array, drawn: Array) -> tuple:
+def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Array, contacts: Array, reach: Array, drawn: Array) -> tuple:
     """The model's levels of each press, shape (P, H, W, 3): at the pixels' middles, as the fit has them, and as means over the pixels.
 
     Within `reach` [px], shape (P,), of the dents' middles `contacts` (P, 2); elsewhere both are `drawn`.
@@ -120,8 +136,8 @@ def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, ball_mm: floa
     nothing = np.zeros((len(place), 3))
 
     def level(shift: Array) -> Array:
-        data = Data(model.Pixels(place + shift, press), nothing, nothing, press, rest, nothing)
-        return Evaluation(fitted.parameters, fitted.presses, data, dents, ball_mm).level
+        data = Data(model.Pixels(place + shift, press), nothing, nothing, press, rest, nothing, balls_mm)
+        return Evaluation(fitted.parameters, fitted.presses, data, dents).level
 
     middles, means = drawn.copy(), drawn.copy()
     middles[press, row, column] = level(np.zeros(2))
@@ -144,13 +160,13 @@ def candidates(half_field_mm: float, thickness_mm: float) -> Array:
     return np.array(lights)
 
 
-def choose_lights(seed: Parameters, presses: Array, data: Data, dents: Dents, ball_mm: float) -> Parameters:
+def choose_lights(seed: Parameters, presses: Array, data: Data, dents: Dents) -> Parameters:
     """`seed` with the lights that explain best what the presses change; its veil is kept and coloured anew."""
     from scipy.optimize import nnls
 
     places = candidates(seed.half_field_mm, seed.globals[3])
     trial = replace(seed, geometry=places, colours=np.zeros((len(places) + 1, 3)))
-    here = Evaluation(trial, presses, data, dents, ball_mm)
+    here = Evaluation(trial, presses, data, dents)
     maps = np.array(here.changes).T
     gamma = seed.globals[6]
     seen = model.untone(data.level, gamma)
@@ -187,10 +203,7 @@ def choose_lights(seed: Parameters, presses: Array, data: Data, dents: Dents, ba
     return replace(seed, geometry=places[[chosen[k] for k in kept]], colours=np.maximum(colours, floor))
 
 
-def rough_presses(
-    contacts: Array, mm_per_px: float, size: tuple[float, float], ball_mm: float, curvature: float, deepest_mm: float
-) -> Array:
-    """Ball's apex x, y and depth [mm] from the dents' middles and radii."""
-    at = (contacts[:, :2] - np.array(size) / 2) * mm_per_px * (1 + ball_mm * curvature)
-    contact = contacts[:, 2] * mm_per_px / DRAPE
-    return np.column_stack([at, np.clip(contact**2 / ball_mm, 2 * SHALLOWEST, 0.8 * deepest_mm)])
+def rough_presses(apex_mm: Array, radius_mm: Array, balls_mm: Array, deepest_mm: Array) -> Array:
+    """Presses as of PRESS, undragged, from the apexes' places, shape (P, 2), and the dents' visible radii."""
+    depth = np.clip((radius_mm / DRAPE) ** 2 / balls_mm, 2 * SHALLOWEST, 0.8 * deepest_mm)
+    return np.column_stack([apex_mm, depth, np.zeros((len(depth), 2))])

@@ -10,8 +10,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
-import tomllib
-import types
 import typing
 from typing import Any
 
@@ -19,7 +17,7 @@ from gelsim import console
 from gelsim.errors import SceneError
 from gelsim.scene import definition
 from gelsim.scene.definition import STIFFNESS, Scene
-from gelsim.scene.fields import field_types
+from gelsim.scene.fields import field_types, parse_text
 from gelsim.scene.layers import PRESET_SECTIONS, Layer
 from gelsim.scene.limits import CHOICES
 from gelsim.units import unit_of
@@ -101,35 +99,6 @@ def layer_of(options: argparse.Namespace) -> Layer:
     return layer
 
 
-def parse_text(text: str | list[str], hint: Any, name: str) -> Any:
-    """What was typed as a value for a field of this type; `gelsim.scene.fields.convert` checks it later.
-
-    Numbers that do not parse stay text, so that the check can name them.
-    """
-    if typing.get_origin(hint) is tuple:
-        words = [text] if isinstance(text, str) else text
-        inner = typing.get_args(hint)[0]
-        if dataclasses.is_dataclass(inner):
-            try:
-                return tomllib.loads("value = " + " ".join(words))["value"]
-            except tomllib.TOMLDecodeError as error:
-                raise SceneError(f"{name}: expected a TOML list of tables ({error})") from None
-        if len(words) == 1:
-            words = words[0].replace(",", " ").split() if inner is float else words[0].replace(",", " ").replace("x", " ").split()
-        return [parse_text(word, inner, name) for word in words]
-    assert isinstance(text, str)
-    kinds = hint.__args__ if isinstance(hint, types.UnionType) else (hint,)
-    if bool in kinds and text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    for kind in (int, float):
-        if kind in kinds:
-            try:
-                return kind(text)
-            except ValueError:
-                pass
-    return text
-
-
 def _add(parser: Any, name: str, hint: Any, doc: str, default: Any, from_preset: bool = False) -> None:
     section, _, key = name.partition(".")
     flags = ["--" + name.replace("_", "-")]
@@ -157,7 +126,7 @@ def _add(parser: Any, name: str, hint: Any, doc: str, default: Any, from_preset:
 def _default_words(default: Any, from_preset: bool) -> str:
     if from_preset:
         return "(default: the preset's)"
-    if default is None or default is dataclasses.MISSING:
+    if default is None or default is dataclasses.MISSING or default == ():
         return ""
     shown = " ".join(str(item) for item in default) if isinstance(default, tuple) else str(default)
     return f"(default: {shown.lower() if isinstance(default, bool) else shown})"

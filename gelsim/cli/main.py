@@ -22,7 +22,7 @@ from gelsim.console import ShowVersion, progress_bars
 from gelsim.errors import GelsimError, SceneError, SolveError
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene, read_layer, scene_table
-from gelsim.scene.limits import LIMITS
+from gelsim.scene.limits import CHOICES, LIMITS
 from gelsim.study import STUDIES
 
 OK, INTERNAL, BAD_INPUT, NUMERICS, PARTIAL, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -57,6 +57,12 @@ examples:
   gelsim render --sensor out/mine/sensor.toml --shape hemisphere --rigid --radius-mm 2 --depth-mm 0.8
 
 What the folder must hold and how far to trust the result: docs/calibrate.md."""
+COMPARE_EXAMPLES = """\
+examples:
+  gelsim compare --sensor out/mine/sensor.toml --photos photos/ --out out/compare
+  gelsim compare --frames out/demo --photos recording/           pictures drawn before, paired with photographs by their names
+
+presses.csv says what was pressed, where and how deep; of balls place and depth may be missing. docs/calibrate.md."""
 DUROMETER_EXAMPLES = """\
 examples:
   gelsim durometer --shore 30                       the modulus that reads 00-30
@@ -161,6 +167,16 @@ def _parser() -> Parser:
     calibrate.add_argument("--force", action="store_true", help="write over earlier files of these names")
     calibrate.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to render (default: auto)")
     _add_output_flags(calibrate, _calibrate)
+    compare = commands.add_parser("compare", help="photographs beside a sensor's pictures of the same presses", epilog=COMPARE_EXAMPLES)
+    compare.add_argument("--photos", required=True, metavar="DIR", help="pictures, photos.toml and presses.csv")
+    compare.add_argument("--sensor", metavar="NAME", help="a sensor preset, or the path of a sensor file")
+    compare.add_argument("--frames", metavar="DIR", help="instead: a result folder, or a folder of pictures")
+    compare.add_argument("--friction", default="0.8", metavar="MU", help="between object and gel, 0 … 10 or stick (default: 0.8)")
+    compare.add_argument("--mode", choices=("path", "direct", "baked"), default="path", help="of the renderer (default: path)")
+    compare.add_argument("--out", metavar="DIR", default="out/compare", help="where compare.png, .csv and report.json go")
+    compare.add_argument("--force", action="store_true", help="write over earlier files of these names")
+    compare.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+    _add_output_flags(compare, _compare)
     durometer = commands.add_parser("durometer", help="the virtual durometer: Shore reading to modulus and back", epilog=DUROMETER_EXAMPLES)
     wanted = durometer.add_mutually_exclusive_group()
     wanted.add_argument("--modulus-kpa", type=float, metavar="E", help="Young's modulus of the block [kPa]: what does it read?")
@@ -235,7 +251,12 @@ def _parser() -> Parser:
         help="of a press: one page with both bodies in 3D, pictures and force; works offline (default: page.html beside press.npz)",
     )
     inspect.add_argument("--vtu", metavar="DIR", help="of a press: surfaces by state for ParaView, press.pvd")
-    inspect.add_argument("--mesh-unit", default="mm", choices=("mm", "cm", "m", "in"), help="unit of a mesh file (default: mm)")
+    inspect.add_argument("--mesh-unit", choices=CHOICES["object.mesh_unit"], help="unit of a mesh file (default: mm)")
+    inspect.add_argument("--mesh-scale", type=float, metavar="NUMBER", help="multiplies a mesh file's numbers (default: 1)")
+    inspect.add_argument(
+        "--press-side", choices=CHOICES["object.press_side"], help="side of a mesh file's part that faces the gel (bottom)"
+    )
+    inspect.add_argument("--rotation-deg", type=float, nargs=3, metavar=("X", "Y", "Z"), help="turn it about x, then y, then z")
     inspect.add_argument("--force", action="store_true", help="write over an existing --out")
     doctor = commands.add_parser("doctor", help="what this machine can run, and what to install for more")
     for command, run in ((inspect, _inspect), (doctor, _doctor)):
@@ -263,6 +284,12 @@ def _add_again(
 def _add_common(parser: Parser, run: Callable[[argparse.Namespace], dict[str, Any]]) -> None:
     parser.add_argument("--scene", metavar="FILE", help="start from a scene file (TOML)")
     parser.add_argument("--out", metavar="DIR", help="result folder (default: out/SHAPE-HARDNESS)")
+    parser.add_argument(
+        "--poses",
+        metavar="FILE.csv",
+        help="many presses in one run: columns are fields of the scene (offset_mm, press.tilt_deg, …), a row a pose; a folder of each "
+        "in --out, named by the column name or counted, and poses.csv of what they gave (default: out/SHAPE-HARDNESS-poses)",
+    )
     _add_again(
         parser,
         force="replace the results in an existing folder; other files in it stay",
@@ -301,10 +328,10 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
     probe = getattr(options, "probe", None)
     from gelsim.pipeline import stages
 
-    with progress_bars() as progress:
-        report = stages.run(
+    def run(scene: Scene, out: Path, progress: stages.Progress | None = None) -> dict[str, Any]:
+        return stages.run(
             scene,
-            Path(options.out) if options.out else _default_folder(scene),
+            out,
             render_frames=render,
             force=options.force,
             resume=options.resume,
@@ -313,9 +340,29 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
             radiance=getattr(options, "exr", False),
             progress=progress,
         )
+
+    if options.poses:
+        return _run_poses(options, scene, run, render)
+    with progress_bars() as progress:
+        report = run(scene, Path(options.out) if options.out else _default_folder(scene), progress)
     if not options.json:
         print(stages.summary(report))
     return report
+
+
+def _run_poses(options: argparse.Namespace, scene: Scene, run: Callable[[Scene, Path], dict[str, Any]], drawn: bool) -> dict[str, Any]:
+    from gelsim.pipeline import poses
+
+    out = Path(options.out) if options.out else _default_folder(scene).with_name(f"{_default_folder(scene).name}-poses")
+    table = poses.read_poses(Path(options.poses), scene)
+    with progress_bars() as progress:
+        result = poses.run_many(table, out, run, drawn=drawn, force=options.force, resume=options.resume, progress=progress)
+    if not options.json:
+        rate = f", {result['seconds_a_pose']:.2f} s each" if result["made"] else ""
+        print(f"{result['out']}/{poses.TABLE}: {result['poses']} poses, {result['made']} made now{rate}")
+    for item in result["failed"]:
+        print(f"gelsim: failed: {item['pose']}: {item['message']}", file=sys.stderr)
+    return result | ({"exit_code": PARTIAL} if result["failed"] else {})
 
 
 def _inspect(options: argparse.Namespace) -> dict[str, Any]:
@@ -326,7 +373,8 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     if options.out and Path(options.out).suffix.lower() != ".png":
         raise SceneError(f"--out {options.out}: what is drawn is a .png")
     sensor = build_scene({"sensor": {"preset": options.sensor}}) if options.sensor else None
-    facts = inspection.inspect(Path(options.path), mesh_unit=options.mesh_unit) if sensor is None else inspection.inspect_sensor(sensor)
+    standing = {name: getattr(options, name) for name in inspection.STANDING if getattr(options, name) is not None}
+    facts = inspection.inspect(Path(options.path), **standing) if sensor is None else inspection.inspect_sensor(sensor)
     if options.html == "":
         given = Path(options.path or ".")
         options.html = str((given if given.is_dir() else given.parent) / "page.html")
@@ -341,7 +389,7 @@ def _inspect(options: argparse.Namespace) -> dict[str, Any]:
     if options.out:
         out = Path(options.out)
         if sensor is None:
-            inspection.draw(Path(options.path), out, mesh_unit=options.mesh_unit)
+            inspection.draw(Path(options.path), out, **standing)
         else:
             inspection.draw_sensor(sensor, out)
         facts["drawing"] = str(out)
@@ -381,6 +429,26 @@ def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
         )
     if not options.json:
         print(calibrate.summary(report))
+    return report
+
+
+def _compare(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim.calibrate import comparison
+
+    with progress_bars() as progress:
+        report = comparison.compare(
+            Path(options.photos),
+            Path(options.out),
+            sensor=options.sensor,
+            frames=Path(options.frames) if options.frames else None,
+            friction=_friction(options.friction),
+            mode=options.mode,
+            force=options.force,
+            device=options.device,
+            progress=progress,
+        )
+    if not options.json:
+        print(comparison.summary(report))
     return report
 
 

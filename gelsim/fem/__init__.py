@@ -8,7 +8,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -107,8 +106,7 @@ def _problem(
     from gelsim.scene.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
-    remembers = any(material.prony for material in (of_gel, *of_object))  # then no other try goes on from this one
-    made: dict[str, Any] = {} if way.most_wasted is None or remembers else {"most_wasted": way.most_wasted}
+    made: dict[str, Any] = {} if way.most_wasted is None else {"most_wasted": way.most_wasted}
     return PressProblem(
         tried(scene, way),
         gel,
@@ -160,21 +158,20 @@ def solve_batch(
     marching = [tries(scene) for scene, *_ in bodies]
     asked = {number: next(one) for number, one in enumerate(marching)}
     while asked:
-        groups: dict[Try, dict[int, tuple[Try, Course]]] = {}
+        groups: dict[Try, dict[int, Course]] = {}
         for number, (way, course) in asked.items():
-            groups.setdefault(replace(way, most_wasted=None), {})[number] = way, course  # each gives up in its own time
+            groups.setdefault(way, {})[number] = course
         left, asked = len(asked), {}
-        for several in groups.values():
+        for way, several in groups.items():
             problems, start = [], time.perf_counter()
-            for number, (way, _) in several.items():
+            for number in several:
                 scene, gel, body, placement = bodies[number]
                 problems.append(_problem(way, scene, gel, body, placement, device))
             if costs is not None:
                 costs.seconds["prepare"] = costs.seconds.get("prepare", 0.0) + time.perf_counter() - start
-            courses = [course for _, course in several.values()]
             told = None if progress is None else partial(_told, progress, len(bodies) - left, len(bodies))
             left -= len(several)
-            for number, press in zip(several, run_batch(problems, courses=courses, progress=told, costs=costs), strict=True):
+            for number, press in zip(several, run_batch(problems, courses=list(several.values()), progress=told, costs=costs), strict=True):
                 try:
                     asked[number] = marching[number].send(press)
                 except StopIteration as end:
@@ -209,10 +206,9 @@ def differentiate_press(
     from gelsim.scene.materials import gel_material, object_materials
 
     of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
-    from gelsim.fem.strategy import ways
+    from gelsim.fem.strategy import PLAIN
 
-    alone = replace(ways(scene)[0], most_wasted=None)  # there is no other to go on from it
-    problem = _problem(alone, scene, gel, body, placement, "cpu", patient=True)
+    problem = _problem(PLAIN, scene, gel, body, placement, "cpu", patient=True)
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
 
 

@@ -3,13 +3,15 @@
     W = ∫ R·du  over the driven nodes (platen, or the whole surface of a rigid object), R internal and contact forces on them
     E = Π(u, p) of both solids (assembly.py), at the present state; of solids that remember (viscoelastic.py) the work done on them, stored
         and lost: ∫ f·du of their forces by the trapezoidal rule
-    D = Σ ½(t₀ + t)·e  over friction's points: e the slip of a load step, t₀ and t the traction before and after it
+    D = Σ ½(t₀ + t)·e  over friction's points: e the slip of a load step, t the traction after it, t₀ that before it; of a point that slides
+        t₀ is μ times the pressure before it, along t: it slid only once its traction had turned that way
     C = Σ ½(p₀ + p) Δ(overlap)  over contact's points: what the penalty and its multiplier take up, an error of the method
     X = what E grows by where a press goes on by another way (quasistatic.py): the same bodies at the same approach, in stiffer tets say
 
-so drift = (W - (E - X) - D - C)/W is zero but for the size of the load steps and Newton's tolerance. R·du/ds over the approach s is
-integrated by monotone cubics through the load steps (for a power law of 1.2 to 2.5 and five steps within 0.1 %), by a power law through a
-lone one, on either side of where a press goes on. With "stick", D is what friction's own penalty gives way.
+so drift = (W - (E - X) - D - C)/W is zero but for the size of the load steps and Newton's tolerance. W in the denominator is all work that
+was ever done, not less what a release gave back. R·du/dt over time is integrated by monotone cubics through the load steps of each leg of
+the motion (for a power law of 1.2 to 2.5 and five steps within 0.1 %), by a power law through a lone one, and on either side of where a
+press goes on. With "stick", D is what friction's own penalty gives way.
 
 A point that touches for the first time counts its slip since the step began, as the contact law does: long load steps make D too large.
 """
@@ -35,22 +37,28 @@ class EnergyBalance:
 
     def __init__(self, problem: PressProblem) -> None:
         self.problem = problem
-        self._approach = [0.0]
+        self._time = [0.0]
         self._power: list[tuple[float, float]] = []
-        """R·Δu/Δs of each step with R at its beginning and at its end."""
-        self._gone_on: list[int] = []
-        """Steps before which the press went on by another way, and R jumped."""
+        """R·Δu/Δt of each step with R at its beginning and at its end."""
+        self._legs: list[int] = []
+        """Steps before which the object began to move in another way, or the press went on by another one."""
         self.jump = 0.0, 0.0
-        """The largest share of a step's work that went nowhere, and the approach [m] that the step ended at; but for the first two, whose
-        work is not known so well."""
+        """What went nowhere in a step, as a share of the most work of a step so far, where that is largest, and the approach [m] that the
+        step ended at; but for the first two that did work, whose work is not known so well."""
+        self._works, self._most = 0, 0.0
         self._stored = self._changed = self._lost = self._overlap_work = 0.0
         self._internal = self._u = np.zeros_like(problem.solids.rest)
         nodes, points = len(problem.driven), len(problem.contact.rest_weight)
         self._moved, self._reaction = np.zeros((nodes, 3)), np.zeros((nodes, 3))
         self._traction, self._pressure, self._overlap = np.zeros((points, 3)), np.zeros(points), np.zeros(points)
 
-    def step(self, approach: float) -> None:
-        """Takes in the equilibrium at `approach` [m], before the contact settles."""
+    def begin_leg(self) -> None:
+        """From here on the object moves in another way."""
+        self._legs.append(len(self._power))
+        self._moved = self.problem.solids.displacement.numpy()[self.problem.driven]
+
+    def step(self, time: float, approach: float) -> None:
+        """Takes in the equilibrium at a time [s] and an approach [m], before the contact settles."""
         problem, contact, before = self.problem, self.problem.contact, self._held
         internal, reaction = self._forces()
         if problem.memory is None:
@@ -60,22 +68,29 @@ class EnergyBalance:
             self._stored += float((0.5 * (internal + self._internal) * (u - self._u)).sum())
             self._internal, self._u = internal, u
         moved = problem.solids.displacement.numpy()[problem.driven]
-        travel, spacing = moved - self._moved, approach - self._approach[-1]
+        travel, spacing = moved - self._moved, time - self._time[-1]
         begin, end = float((self._reaction * travel).sum()) / spacing, float((reaction * travel).sum()) / spacing
         self._power.append((begin, end))
-        self._approach.append(approach)
+        self._time.append(time)
         self._moved, self._reaction = moved, reaction
 
         pressure, overlap = self._overlapping()
         self._overlap_work += float((contact.rest_weight * 0.5 * (pressure + self._pressure) * (overlap - self._overlap)).sum())
-        self._pressure, self._overlap = pressure, overlap
         if contact.frictional:
             traction, slip = contact.traction.numpy().copy(), contact.slip(problem.solids.positions())
-            self._lost -= float((contact.rest_weight[:, None] * 0.5 * (traction + self._traction) * slip).sum())
+            earlier, size = self._traction.copy(), np.linalg.norm(traction, axis=1)
+            mu = contact.law.friction
+            slides = (size > 0.0) & (size >= mu * pressure * (1 - 1e-9)) if mu > 0.0 else np.zeros(len(size), bool)
+            earlier[slides] = traction[slides] * (mu * self._pressure[slides] / size[slides])[:, None]
+            self._lost -= float((contact.rest_weight[:, None] * 0.5 * (traction + earlier) * slip).sum())
             self._traction = traction
-        work = _power_law_work(approach - spacing, approach, begin, end)
-        if len(self._power) > 2 and work > _SEEN:
-            self.jump = max(self.jump, (1.0 - (self._held - before) / work, approach))
+        self._pressure, self._overlap = pressure, overlap
+        work = _power_law_work(time - spacing, time, begin, end)
+        if work > _SEEN:
+            self._works += 1
+            self._most = max(self._most, work)
+            if self._works > 2:
+                self.jump = max(self.jump, ((work - (self._held - before)) / self._most, approach))
 
     @property
     def _held(self) -> float:
@@ -85,7 +100,6 @@ class EnergyBalance:
     def go_on(self, problem: PressProblem) -> None:
         """Follows the same press solved another way, from its present state, whose contact has settled."""
         self.problem = problem
-        self._gone_on.append(len(self._power))
         self._internal, self._reaction = self._forces()
         if problem.memory is None:
             stored = problem.solids.energy()
@@ -115,17 +129,20 @@ class EnergyBalance:
 
         if not self._power:
             return {"work_j": 0.0, "stored_j": 0.0, "dissipated_j": 0.0, "overlap_j": 0.0, "changed_j": 0.0, "drift": 0.0}
-        work, approach = 0.0, np.array(self._approach)
-        for first, last in pairwise(sorted({0, *self._gone_on, len(self._power)})):
+        time, (begin, end) = np.array(self._time), np.array(self._power).T
+        work = done = 0.0
+        for first, last in pairwise([*sorted({first for first in self._legs if first < len(begin)}), len(begin)]):
             if last == first + 1:
-                work += _power_law_work(approach[first], approach[last], *self._power[first])
+                leg = _power_law_work(time[first], time[last], *self._power[first])
+                work, done = work + leg, done + max(leg, 0.0)
                 continue
-            begin, end = np.array(self._power[first:last]).T
             # between two steps the mean of what both say: the same where the platen moves straight
-            power = np.array([begin[0], *(0.5 * (end[:-1] + begin[1:])), end[-1]])
-            work += float(PchipInterpolator(approach[first : last + 1], power).integrate(approach[first], approach[last]))
+            between = 0.5 * (end[first : last - 1] + begin[first + 1 : last])
+            power = PchipInterpolator(time[first : last + 1], [begin[first], *between, end[last - 1]])
+            leg = float(power.integrate(time[first], time[last]))
+            work, done = work + leg, done + max(leg, 0.0)
         parts = (work, self._stored, self._lost, self._overlap_work, self._changed)
-        drift = (work - self._held) / work if abs(work) > _SEEN else 0.0
+        drift = (work - self._held) / done if done > _SEEN else 0.0
         scale = self.problem.copies * JOULE
         names = ("work_j", "stored_j", "dissipated_j", "overlap_j", "changed_j")
         return {name: part * scale for name, part in zip(names, parts, strict=True)} | {"drift": drift}

@@ -36,8 +36,10 @@ from numpy.typing import NDArray
 from gelsim.files import cache_folder, whole_file
 from gelsim.geometry import QuadraticSurface
 from gelsim.scene.definition import Body, Scene
+from gelsim.scene.motion import widest
 from gelsim.shape import outlines, shapes
 from gelsim.shape.mesh_file import file_stamp
+from gelsim.shape.orientation import turned
 from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
@@ -92,7 +94,7 @@ class DistanceField:
 
         place = (points - self.origin) / self.spacing
         inside = np.clip(place, 1.0, np.array(self.samples.shape) - 2.0)
-        found = map_coordinates(self.samples.astype(np.float64), inside.T, order=3, mode="nearest", prefilter=False)
+        found = map_coordinates(self.samples, inside.T, output=np.float64, order=3, mode="nearest", prefilter=False)
         return found + self.spacing * np.linalg.norm(place - inside, axis=1)
 
 
@@ -268,6 +270,8 @@ def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], s
 
 
 # ---------------------------------------------------------------------------------------------------------------- of a press
+STEP_MM = 0.5
+"""Of the corners of the grid's box."""
 _SCHEMA = 1
 """Of kept fields: raised where the same shape is sampled differently."""
 MARGIN_MM = 0.6
@@ -276,29 +280,38 @@ MARGIN_MM = 0.6
 
 def distance_field(scene: Scene) -> DistanceField:
     """The field of a scene's rigid object, over what of it may come to touch the gel."""
-    press, gel = scene.press, scene.gel
+    gel, way = scene.gel, widest(scene)
     travel = shapes.furthest_approach(scene) * MM_PER_M
-    half = np.array(gel.size_mm) / 2 + np.abs(press.shear_mm) + MARGIN_MM
+    half = np.array(gel.size_mm) / 2 + way.sideways + MARGIN_MM
     shift = shapes.first_touch(scene)[2] * MM_PER_M
+    if way.turns[2] or way.rolls:  # a pivot beside the apex makes that go sideways
+        half += np.abs(shift[:2] - scene.press.offset_mm)
     drop = -float(shapes.gel_height(gel, np.array([gel.size_mm]) / 2 / MM_PER_M).min()) * MM_PER_M  # of a dome, at its corners
     low = np.array([*(-half - shift[:2]), -MARGIN_MM - drop - shift[2]])
     high = np.array([*(half - shift[:2]), 1.25 * travel + MARGIN_MM - shift[2]])
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
-    corners = corners @ shapes.rotation(scene)  # of the object's frame
-    if press.twist_deg:
-        reach = np.linalg.norm(corners[:, :2], axis=1).max()
-        corners[:, :2] = np.sign(corners[:, :2]) * reach
-    return _field(scene.object, file_stamp(scene.object), tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
+    corners = np.vstack([corners @ turned(turn) for turn in way.turns_on_way()])  # of the object's frame
+    stamp = file_stamp(scene.object)
+    first, last = _extent(scene.object, stamp)
+    # in whole steps, so that poses that differ a little share a grid
+    begin = np.maximum(np.floor(corners.min(axis=0) / STEP_MM) * STEP_MM, first - MARGIN_MM)
+    end = np.minimum(np.ceil(corners.max(axis=0) / STEP_MM) * STEP_MM, last + MARGIN_MM)
+    return _field(scene.object, stamp, tuple(begin), tuple(end))
 
 
-@lru_cache(maxsize=4)
-def _field(body: Body, stamp: tuple[int, ...], low: tuple[float, ...], high: tuple[float, ...]) -> DistanceField:
-    surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
-    extent = surface.vertices * MM_PER_M
-    begin = np.maximum(low, extent.min(axis=0) - MARGIN_MM)
-    end = np.minimum(high, extent.max(axis=0) + MARGIN_MM)
+@lru_cache(maxsize=16)
+def _extent(body: Body, stamp: tuple[int, ...]) -> tuple[Array, Array]:
+    """Opposite corners of the box of an object [mm], in its frame."""
+    vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
+@lru_cache(maxsize=16)
+def _field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...]) -> DistanceField:
+    low, high = np.array(begin), np.array(end)
     if not shapes.of_file(body):
-        return sampled(exact_distance(body), begin, end, spacing(body))
+        return sampled(exact_distance(body), low, high, spacing(body))
+    surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
     digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, spacing(body)]).tobytes())
     digest.update(surface.vertices.tobytes() + surface.faces.tobytes())
     path = cache_folder("fields") / f"{digest.hexdigest()[:32]}.npz"
@@ -306,7 +319,7 @@ def _field(body: Body, stamp: tuple[int, ...], low: tuple[float, ...], high: tup
         with np.load(path, allow_pickle=False) as kept:
             return DistanceField(kept["samples"], tuple(kept["origin"].tolist()), float(kept["spacing"]))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        field = sampled(exact_distance(body), begin, end, spacing(body))
+        field = sampled(exact_distance(body), low, high, spacing(body))
     with contextlib.suppress(OSError), whole_file(path) as partial, partial.open("wb") as file:  # a cache that is full costs a second
         np.savez(file, samples=field.samples, origin=field.origin, spacing=field.spacing)
     return field
@@ -337,6 +350,10 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
     step, half = 0.1, np.array(scene.gel.size_mm) / 2
     lines = [np.linspace(-h, h, 1 + 2 * int(np.ceil(h / step))) for h in half]
     places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    under = (surface.nodes @ turn.T)[:, :2] * MM_PER_M + low[:2]
+    first, last = under.min(axis=0) - step, under.max(axis=0) + step
+    first = np.where([axis in shapes.press_symmetry(scene) for axis in "xy"], -last, first)
+    places = places[((places >= first) & (places <= last)).all(axis=1)]
     for _ in range(4):
         points = np.column_stack([places, shapes.gel_height(scene.gel, places / MM_PER_M) * MM_PER_M])
         near = np.arange(len(points))
@@ -348,6 +365,6 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
             near = near[away < away.min() + 1.0] if len(near) > 1000 else near
         nearest = near[np.argsort(away)[:500]]
         step /= 5.0
-        fine = step * np.stack(np.meshgrid(*[np.arange(-5, 6)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+        fine = step * np.stack(np.meshgrid(*[np.arange(-3, 4)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)  # to halfway to the next
         places = np.clip((places[nearest, None] + fine).reshape(-1, 2), -half, half)
     return turn, low / MM_PER_M

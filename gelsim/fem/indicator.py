@@ -41,9 +41,8 @@ MOVING = 0.05
 
 def judged_states(force: Array) -> NDArray[np.int64]:
     """The states whose error is estimated, of forces (N,)."""
-    last = len(force) - 1
-    first = int(np.argmax(force >= JUDGED_FROM * force.max())) if force.max() > 0 else last
-    return np.unique(np.linspace(first, last, JUDGED).round().astype(np.int64))
+    some = np.flatnonzero(force >= JUDGED_FROM * force.max()) if force.max() > 0 else np.array([len(force) - 1])
+    return some[np.unique(np.linspace(0, len(some) - 1, JUDGED).round().astype(np.int64))]
 
 
 def force_error(jump: Array, overlap: Array, approach: Array, per_jump: float) -> float:

@@ -45,6 +45,8 @@ class PressProblem:
     """
 
     most_wasted = MOST_WASTED
+    pivot: Array = np.zeros(3)
+    """About what the object turns, where it first touches [mm]: its apex, or with press.touch_at = "centre" what lies there."""
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
                  gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
@@ -53,6 +55,7 @@ class PressProblem:
                  patient: bool = True) -> None:  # fmt: skip
         self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
         rotation, translation = placement
+        self.pivot = np.array([*scene.press.offset_mm, translation[2] * MM_PER_M])
         gel_rest = gel.rest_positions * MM_PER_M
         n = len(gel_rest)
         if isinstance(body, TetMesh):

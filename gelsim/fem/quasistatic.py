@@ -1,12 +1,14 @@
-"""The press as a sequence of equilibria: the object's base travels toward the gel's window, step by step.
+"""The press as a sequence of equilibria: the object's base follows its motion in time (scene/motion.py), leg by leg, step by step.
 
-Each step starts from the linear extrapolation of the last two states, which leaves Newton only the curvature of the path; then the
-contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and Newton
-has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after it was
-tried from the last state alone, its object moved along); after two easy steps it doubles again, to LONGEST_STEP at most. Recorded states
-are equally spaced in approach. `force_n` ends the press where the normal force reaches it, found by the secant rule; without `depth_mm` a
-search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share of the way is not known
-before, a second march records. What ended a press its info says (`errors.PressEnd`).
+Each step starts from the linear extrapolation of the last two states of its leg, which leaves Newton only the curvature of the path; then
+the contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and
+Newton has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after
+it was tried from the last state alone, its object moved along); after two easy steps it doubles again, to LONGEST_STEP at most. A leg that
+ends at a force has at each step's end the approach at which the normal force is its share of it, found by the secant rule.
+
+Of the short form, recorded states are equally spaced in approach. `force_n` ends it where the normal force reaches it, found by the secant
+rule; without `depth_mm` a search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share
+of the way is not known before, a second march records. What ended a press its info says (`errors.PressEnd`).
 
 A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
 (strategy.py). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
@@ -14,7 +16,7 @@ stays. Solids that remember begin at rest instead.
 
 The march is a generator that asks for equilibria: who drives it solves them, one press at a time (`run_press`) or many at once (batch.py).
 
-Solids that remember (viscoelastic.py) are told how long each step takes; `hold_s` lets them relax at the end.
+Solids that remember (viscoelastic.py) are told how long each step takes; where nothing moves they relax in steps that grow.
 
 Left out: inertia, gravity (0.1 kPa per 10 mm of silicone).
 """
@@ -22,21 +24,21 @@ Left out: inertia, gravity (0.1 kPa per 10 mm of silicone).
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.errors import PressEnd, SolveError, SolveStatus
+from gelsim.errors import PressEnd, SceneError, SolveError, SolveStatus
 from gelsim.fem.contact import LOOKED_MM, ContactState
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.linear import single_threaded_blas
 from gelsim.fem.newton import NewtonReport
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.recording import Recorder
-from gelsim.fem.viscoelastic import Memory
 from gelsim.results import Deformation
-from gelsim.scene.definition import Press
+from gelsim.scene.motion import Motion, motion, straight
+from gelsim.shape.orientation import turned
 from gelsim.shape.shapes import furthest_approach
 from gelsim.units import MM_PER_M
 
@@ -55,7 +57,9 @@ FORCE_TOLERANCE = 2e-3  # of force_n
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
 FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
 LONGEST_STEP = 1e-3  # [m]
-FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of press.hold_s: first step over the shortest relaxation time, and each over the last
+FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of a hold: first step over the shortest relaxation time, and each over the last
+FIRST_LOOK = 0.2  # of FIRST_STEP: how far a leg to a force looks first, where nothing says yet how stiff the contact is
+MOST_LOOKS = 12  # for the approach of a force, in one step
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,13 @@ def march_press(
     """
     press = problem.scene.press
     before, march = course.before, None
-    found = course.found if press.depth_mm is None else (press.depth_mm / MM_PER_M, PressEnd.DEPTH, "")
+    way = motion(press)
+    if way is not None:
+        march = _March(problem, way.from_touch(problem.pivot[2]), record)
+        yield from march.run(progress, before)
+        found = march.approach, PressEnd.PATH, ""
+    else:
+        found = course.found if press.depth_mm is None else (press.depth_mm / MM_PER_M, PressEnd.DEPTH, "")
     if found is None:
         search = _Search(problem, record)
 
@@ -129,7 +139,7 @@ def march_press(
             if progress is not None and press.force_n is not None:
                 progress(round(float(np.clip(search.normal_force / press.force_n, 0.0, 1.0)) * (press.frames - 1)), press.frames)
 
-        yield from search.run(LONGEST_STEP, int(search.depth / LONGEST_STEP) + 2, share, before)
+        yield from search.run(share, before)
         found = search.found()
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
@@ -138,21 +148,22 @@ def march_press(
         if before is not None:
             course.found, course.searched = found, True
             return search.deformation(found[1], "")
-        straight = not any(press.shear_mm) and not press.twist_deg
-        if straight and problem.memory is None and (yield from search.record_way(found[0], press.frames, progress)):
+        plain = not any(press.shear_mm) and not press.twist_deg and not press.hold_s
+        if plain and problem.memory is None and (yield from search.record_way(found[0], press.frames, progress)):
             march = search
     depth, end, beyond = found
     if march is None:
-        march = _March(problem, press, depth, record)
-        yield from march.run(depth / (press.frames - 1), press.frames, progress, before)
+        march = _March(problem, straight(press, depth * MM_PER_M), record, press.force_n)
+        yield from march.run(progress, before)
     message, end = "", PressEnd.FORCE if march.stopped else end
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
+        less = "a shorter motion" if end is PressEnd.PATH else "more frames, a smaller depth_mm"
         end = PressEnd.LOST
         message = (
             f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "
-            "solved and kept. Try more frames, a smaller depth_mm, or --fidelity fast to see where it goes"
+            f"solved and kept. Try {less}, or --fidelity fast to see where it goes"
         )
     deformation = march.deformation(end, message)
     missing, jumped_at = march.energy.jump
@@ -161,7 +172,7 @@ def march_press(
             f"the step to {jumped_at * MM_PER_M:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a "
             "sharp rim that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
         )
-    if press.depth_mm is None and not march.stopped and march.status is SolveStatus.CONVERGED:
+    if press.depth_mm is None and press.force_n is not None and not march.stopped and march.status is SolveStatus.CONVERGED:
         why = beyond or f" with {march.normal_force:.3g} N"
         deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM_PER_M:.3g} mm{why}")
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
@@ -173,7 +184,10 @@ def march_press(
 class _State:
     """A converged state to go on from."""
 
+    time: float
+    """[s]"""
     approach: float
+    """[m]"""
     fields: tuple[Array, Array]
     """Displacement and pressure of the solids."""
     contact: ContactState
@@ -184,88 +198,131 @@ class _State:
 
 
 class _March:
-    """One press, state after state."""
+    """One press, state after state; with `stop_n` the first leg of its way ends where the normal force reaches that."""
 
-    def __init__(self, problem: PressProblem, press: Press, depth: float, record: Record) -> None:
-        self.problem, self.press, self.depth, self.record = problem, press, depth, record
+    def __init__(self, problem: PressProblem, way: Motion, record: Record, stop_n: float | None = None) -> None:
+        self.problem, self.way, self.record, self.stop_n = problem, way, record, stop_n
         self.recorder, self.energy = record(problem), EnergyBalance(problem)
         self.status, self.message, self.halved = SolveStatus.CONVERGED, "", 0
-        self.approach, self.normal_force, self.stopped = 0.0, 0.0, False
+        self.time, self.approach, self.normal_force, self.stopped = 0.0, 0.0, 0.0, False
         self.here: _State
         """The last equilibrium."""
         self._previous: _State | None = None
-        self._spacing, self._smallest = np.inf, 1.0
-        self._rate = 0.0
+        self._leg, self._spacing, self._smallest = 1, np.inf, 1.0
+        self._rate = self._stiffness = self._approach = 0.0
         self._iterations = self._factorisations = self._wasted = 0
 
-    def run(self, spacing: float, states: int, progress: Progress | None, before: _March | None = None) -> Marching:
-        """Marches to the depth, the force, or a step that cannot be made any smaller; records every `spacing` [m].
+    def run(self, progress: Progress | None, before: _March | None = None) -> Marching:
+        """Marches to the end of the way, the force, or a step that cannot be made any smaller; records at the times that the way says.
 
         Begins at rest, or where `before` stands.
         """
-        problem, self._spacing = self.problem, spacing
+        problem = self.problem
         if before is None:
             problem.reset()
+            self._lift(float(self.way.approach[0]))
             yield Request(1.0, solve=False)  # first touch
             self._settle()
-            self._keep(states, progress)
-            here = self._state(0.0)
-            self._arrive(here, 0.0)
-        else:
-            here = yield from self._go_on(before)
-            if here is None:
+            self._arrive(self._state(0.0, self.way.approach[0] / MM_PER_M), 0.0)
+            self.way = self.way.reached(0, self.way.approach[0], 0.0)
+            self._keep(progress)
+        elif (yield from self._go_on(before)) is None:
+            return
+        for leg in range(self.way.leg_after(self.time), len(self.way.time)):
+            if not (yield from self._follow(leg, progress)):
                 return
-        longest = min(spacing, LONGEST_STEP)
-        step, easy = min(longest, FIRST_STEP), 0
-        while not self.stopped and len(self.recorder.approach) < states and self.approach < self.depth * (1 - 1e-12):
-            target = min(spacing * len(self.recorder.approach), self.depth)
-            new = target if target - (self.approach + step) < 1e-6 * spacing else self.approach + step
+            self.way = self.way.reached(leg, self.approach * MM_PER_M, self.normal_force)
+
+    def _lift(self, approach: float) -> None:
+        """Takes the object to where a measured path begins: above the gel by so much [mm], or where it touches."""
+        if approach > 0.0:
+            raise SceneError(f"press.path_csv begins {approach:.3g} mm below first touch; let it begin there or above")
+        if approach < 0.0:
+            displacement, pressure = (field.copy() for field in self.problem.solids.state())
+            displacement[self.problem.object_nodes, 2] -= approach
+            self.problem.solids.set_state((displacement, pressure))
+
+    def _follow(self, leg: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
+        """Marches along a leg from where it stands; whether it got to the leg's end."""
+        problem, way, here = self.problem, self.way, self.here
+        begin, end = way.time[leg - 1], way.time[leg]
+        self._leg, self._previous = leg, None
+        self.energy.begin_leg()
+        inside = way.recorded[(way.recorded > begin * (1 + 1e-12)) & (way.recorded <= end * (1 + 1e-12))]
+        spacing = (inside[0] if len(inside) else end) - begin
+        speed = self._speed(leg)
+        longest, first = (min(spacing, length / speed) if speed else spacing for length in (LONGEST_STEP, FIRST_STEP))
+        step, easy, growth = first, 0, 0.0
+        if speed == 0.0 and problem.memory is not None:
+            memory = problem.memory
+            spacing = FIRST_HOLD_STEP * float(memory.times[memory.shares > 0.0].min())
+            step, longest, growth = min(spacing, end - begin), np.inf, HOLD_STEP_GROWTH
+        self._spacing = spacing
+        while self.time < end * (1 - 1e-12):
+            number = len(self.recorder.approach)
+            recorded = way.recorded[number] if number < len(way.recorded) else np.inf
+            target = float(recorded if recorded <= end * (1 + 1e-12) else end)
+            new = target if target - (here.time + step) < 1e-6 * spacing else here.time + step
             if self.halved:
                 new = min(new, self._nearly_at_force())
-            if not (yield from self._attempt(here, new)):
-                step, easy, self.halved = min((new - here.approach) / 2, longest), 0, self.halved + 1
+            if not (yield from self._attempt_step(here, new)):
+                step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
-                    return
+                    return False
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""
             force = -problem.contact_force()[2]
-            if self.press.force_n is not None and force >= self.press.force_n:
+            if self.stop_n is not None and leg == 1 and force >= self.stop_n:
                 new, force = yield from self._stop_at_force(here, new, force)
                 self.stopped = True
-            self.energy.step(new)
+                self.way = way = way.stays_from(leg, new)
+                target = recorded = end = new
+            approach = self._approach if way.by_force[leg] else way.at(leg, new)[0] / MM_PER_M
+            self.energy.step(new, approach)
             self._settle()
-            self._previous, here = here, self._state(new)
+            self._previous, here = here, self._state(new, approach)
             self._arrive(here, force)
             easy += 1
-            if easy >= 2 and step < longest:
+            if growth:
+                step *= growth
+            elif easy >= 2 and step < longest:
                 step, easy = min(2 * step, longest), 0
-            if self.stopped or abs(new - target) < 1e-9 * spacing:
-                self._keep(states, progress)
-        if self.press.hold_s and problem.memory is not None:
-            yield from self._hold(problem.memory, progress)
+            if abs(new - target) < 1e-9 * spacing and target == recorded:
+                self._keep(progress)
+        return True
+
+    def _speed(self, leg: int) -> float:
+        """How fast the object moves on a leg [m/s]: down (as far as that is known), sideways, or half a gel from where it turns."""
+        way, gel = self.way, self.problem.scene.gel
+        down = 0.0 if way.by_force[leg] else abs(way.approach[leg] - way.approach[leg - 1])
+        sideways = float(np.linalg.norm(way.shear[leg] - way.shear[leg - 1]))
+        round_it = np.deg2rad(np.abs(way.turn[leg] - way.turn[leg - 1]).max()) * min(gel.size_mm) / 2
+        return max(down, sideways, round_it) / MM_PER_M / (way.time[leg] - way.time[leg - 1])
 
     def _go_on(self, before: _March) -> Generator[Request, NewtonReport, _State | None]:
         """The last equilibrium of a march by another discretisation as this one has it; None where that is not found."""
         problem, here = self.problem, before.here
         self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
+        self.way, self._leg, self.stopped = before.way, before._leg, before.stopped
         self._smallest = here.min_jacobian
         problem.solids.set_state(here.fields)
         problem.contact.inherit(before.problem.contact, problem.solids.positions(), LOOKED_MM)
-        start = self._state(here.approach)
+        start = self._state(here.time, here.approach)
         self._arrive(start, before.normal_force)
-        if not (yield from self._attempt(start, here.approach)):
+        if not (yield from self._attempt(start, here.time, here.approach)):
             return None
         self._settle()
         self.recorder.problem = problem
         self.energy.go_on(problem)
-        self._arrive(self._state(here.approach), -problem.contact_force()[2])
+        self._arrive(self._state(here.time, here.approach), -problem.contact_force()[2])
         return self.here
 
     def _arrive(self, state: _State, force: float) -> None:
         """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""
         travel = state.approach - self.approach
         self._rate = (force - self.normal_force) / travel if travel > 0.0 else 0.0
-        self.here, self.approach, self.normal_force = state, state.approach, force
+        self._stiffness = self._rate or self._stiffness
+        self.here, self.time, self.approach, self.normal_force = state, state.time, state.approach, force
 
     def deformation(self, end: PressEnd, message: str) -> Deformation:
         """What was recorded, and what of it is known beside the states."""
@@ -273,36 +330,63 @@ class _March:
         deformation.info["energy"], deformation.info["ended_by"] = self.energy.report(), end
         return deformation
 
-    def _hold(self, memory: Memory, progress: Progress | None) -> Marching:
-        """Lets the solids relax where the press ended, in steps of time that grow from a part of the shortest one; records the end."""
-        left, step = self.press.hold_s, FIRST_HOLD_STEP * float(memory.times[memory.shares > 0.0].min())
-        smallest, here = SMALLEST_STEP * step, self._state(self.approach)
-        while left > 1e-9 * self.press.hold_s:
-            step = min(step, left)
-            if not (yield from self._attempt(here, self.approach, step)):
-                step, self.halved = step / 2, self.halved + 1
-                if step < smallest:
-                    return
-                continue
-            self.status, self.message = SolveStatus.CONVERGED, ""
-            self._settle()
-            left, step, here = left - step, HOLD_STEP_GROWTH * step, self._state(self.approach)
-        self._keep(len(self.recorder.approach) + 1, progress)
-
     def _settle(self) -> None:
         """Makes the present state the past: of contact, and of what the solids remember."""
         self.problem.contact.settle()
         if self.problem.memory is not None:
             self.problem.memory.keep(self.problem.solids.state()[0])
 
-    def _keep(self, states: int, progress: Progress | None) -> None:
-        self.recorder.keep(self.approach, self._iterations, self._factorisations)
+    def _keep(self, progress: Progress | None) -> None:
+        self.recorder.keep(self.time, self.approach, self._iterations, self._factorisations)
         self._iterations = self._factorisations = 0
         if progress is not None:
-            progress(len(self.recorder.approach), states)
+            progress(len(self.recorder.approach), len(self.way.recorded))
 
-    def _attempt(self, here: _State, new: float, seconds: float = 0.0, *, again: bool = False) -> Generator[Request, NewtonReport, bool]:
-        """Solves at approach `new` [m], from `here`; where that fails everything is put back. 0 seconds: what the travel takes.
+    def _attempt_step(self, here: _State, new: float) -> Generator[Request, NewtonReport, bool]:
+        """`_attempt` at a time [s] of the leg that it stands on, driven as that is."""
+        approach, force, _, _ = self.way.at(self._leg, new)
+        if self.way.by_force[self._leg]:
+            return (yield from self._meet_force(here, new, force))
+        return (yield from self._attempt(here, new, approach / MM_PER_M))
+
+    def _meet_force(self, here: _State, new: float, wanted: float) -> Generator[Request, NewtonReport, bool]:
+        """Solves at a time [s] with the approach at which the normal force is `wanted`, FIRST_STEP away from `here` at most.
+
+        Above the gel, where nothing is remembered, it may go on from look to look. Where that approach is not found everything is put back,
+        and the step is too long.
+        """
+        begin, looked = here.approach, [(here.approach, self.normal_force)]
+        ahead = (wanted - self.normal_force) / self._stiffness if self._stiffness > 0.0 else FIRST_LOOK * FIRST_STEP
+        low, high = -np.inf, np.inf
+        approach = here.approach + float(np.clip(ahead, -FIRST_STEP, FIRST_STEP))
+        for _ in range(MOST_LOOKS):
+            if not (yield from self._attempt(here, new, approach)):
+                return False
+            force = -self.problem.contact_force()[2]
+            if abs(force - wanted) <= FORCE_TOLERANCE * wanted:
+                self._approach = approach
+                return True
+            low, high = (max(low, approach), high) if force < wanted else (low, min(high, approach))
+            looked.append((approach, force))
+            (one, before), (other, after) = looked[-2:]
+            slope = (after - before) / (other - one) if other != one else 0.0
+            following = other + (wanted - after) / slope if slope > 0.0 else (other + FIRST_LOOK * FIRST_STEP * np.sign(wanted - after))
+            if self.normal_force <= 0.0 and after <= 0.0:
+                begin, following = approach, approach + FIRST_STEP
+            if not low < following < high:
+                following = 0.5 * (low + high)
+            if not abs(following - begin) <= FIRST_STEP * (1 + 1e-9):
+                following = begin + FIRST_STEP * np.sign(wanted - after)
+                if following == approach:
+                    break
+            approach = float(following)
+        self.message = f"at approach {approach * MM_PER_M:.4g} mm, looking for {wanted:.3g} N"
+        self.status = SolveStatus.MAX_ITERATIONS
+        yield from self._return_to(here, LOOKED_MM + 2 * FIRST_STEP * MM_PER_M)
+        return False
+
+    def _attempt(self, here: _State, new: float, approach: float, *, again: bool = False) -> Generator[Request, NewtonReport, bool]:
+        """Solves at a time `new` [s] and an approach [m], from `here`; where that fails everything is put back.
 
         In a press's later tries a failure is tried `again` without the state before `here`: where a point at a soft tip has just changed
         face, extrapolating its motion throws it onto the next one. What that finds with one body through the other (CUT_MM) is no answer.
@@ -310,10 +394,10 @@ class _March:
         problem = self.problem
         contact = problem.contact
         extrapolated = not again and self._previous is not None
-        self._predict(here, new, extrapolated)
+        travel = self._predict(here, new, approach, extrapolated)
         if problem.memory is not None:
-            problem.memory.begin(seconds or self._seconds(here, new))
-        reach = LOOKED_MM + 2 * (new - here.approach) * MM_PER_M
+            problem.memory.begin(new - here.time)
+        reach = LOOKED_MM + 2 * travel
         report = yield Request(reach, ROUGH_TOLERANCE)
         self._count(report)
         overlap = np.inf
@@ -335,7 +419,7 @@ class _March:
             last, overlap = overlap, -float(contact.gap.numpy().min())
             if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
                 break
-        folds = report.min_jacobian < FOLDED * here.min_jacobian and new - here.approach > FOLDED_STEP * self._spacing
+        folds = report.min_jacobian < FOLDED * here.min_jacobian and new - here.time > FOLDED_STEP * self._spacing
         through = again and overlap > CUT_MM
         if report.status is SolveStatus.CONVERGED and not folds and not through:
             self._smallest = report.min_jacobian
@@ -344,19 +428,15 @@ class _March:
         if report.status is SolveStatus.CONVERGED:
             self.status = SolveStatus.INVERTED_ELEMENT if folds else SolveStatus.MAX_ITERATIONS
         self._wasted += report.iterations
-        self.message = f"at approach {new * MM_PER_M:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
+        self.message = f"at approach {approach * MM_PER_M:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
         if extrapolated and problem.held and report.status is not SolveStatus.CONVERGED:
-            return (yield from self._attempt(here, new, seconds, again=True))
+            return (yield from self._attempt(here, new, approach, again=True))
         return False
 
-    def _seconds(self, here: _State, new: float) -> float:
-        """What the travel to approach `new` [m] takes."""
-        return (new - here.approach) * MM_PER_M / self.press.speed_mm_s
-
-    def _state(self, approach: float, seconds: float = 0.0) -> _State:
+    def _state(self, time: float, approach: float, seconds: float = 0.0) -> _State:
         """The present one, to return to."""
-        return _State(approach, self.problem.solids.state(), self.problem.contact.save(), seconds, self._smallest)
+        return _State(time, approach, self.problem.solids.state(), self.problem.contact.save(), seconds, self._smallest)
 
     def _return_to(self, state: _State, reach: float) -> Marching:
         self.problem.solids.set_state(state.fields)
@@ -369,59 +449,68 @@ class _March:
         self._iterations += report.iterations
         self._factorisations += report.factorisations
 
-    def _predict(self, here: _State, new: float, extrapolated: bool) -> None:
-        """Extrapolates the solids and the multipliers, or moves the object along; the driven nodes go exactly where they must."""
+    def _predict(self, here: _State, new: float, approach: float, extrapolated: bool) -> float:
+        """Extrapolates the solids and the multipliers, or moves the object along; the driven nodes go exactly where they must.
+
+        How far they go at most [mm] is returned.
+        """
         problem = self.problem
         displacement, pressure = here.fields[0].copy(), here.fields[1].copy()
         multipliers = here.contact.multipliers
+        driven = self._motion(problem.driven, new, approach)
+        travel = float(np.linalg.norm(driven - displacement[problem.driven], axis=1).max())
         if extrapolated:
             assert self._previous is not None
-            ratio = (new - here.approach) / (here.approach - self._previous.approach)
+            ratio = (new - here.time) / (here.time - self._previous.time)
             displacement += ratio * (here.fields[0] - self._previous.fields[0])
             pressure += ratio * (here.fields[1] - self._previous.fields[1])
             problem.contact.set_multipliers(multipliers + ratio * (multipliers - self._previous.contact.multipliers))
         else:
             nodes = problem.object_nodes
-            displacement[nodes] += self._motion(nodes, new) - self._motion(nodes, here.approach)
-        displacement[problem.driven] = self._motion(problem.driven, new)
+            displacement[nodes] += self._motion(nodes, new, approach) - self._motion(nodes, here.time, here.approach)
+        displacement[problem.driven] = driven
         problem.solids.set_state((displacement, pressure))
+        return travel
 
-    def _motion(self, nodes: NDArray[np.integer], approach: float) -> Array:
-        """Displacement [mm] of nodes that move with the object's base: its travel, and shear and twist in proportion."""
-        press, part = self.press, approach / self.depth
-        angle = np.deg2rad(press.twist_deg) * part
-        relative = self.problem.solids.rest[nodes] - np.array([*press.offset_mm, 0.0])
-        cosine, sine = np.cos(angle), np.sin(angle)
-        turned = np.stack([cosine * relative[:, 0] - sine * relative[:, 1], sine * relative[:, 0] + cosine * relative[:, 1]], 1)
-        travel = np.array([press.shear_mm[0] * part, press.shear_mm[1] * part, -approach * MM_PER_M])
-        return np.column_stack([turned - relative[:, :2], np.zeros(len(relative))]) + travel
+    def _motion(self, nodes: NDArray[np.integer], time: float, approach: float) -> Array:
+        """Displacement [mm] of nodes that move with the object's base, at a time [s] of the present leg and an approach [m]."""
+        problem, way = self.problem, self.way
+        _, _, shear, turn = way.at(self._leg, time)
+        relative = problem.solids.rest[nodes] - problem.pivot
+        moved = relative @ (turned(turn) @ turned(way.turn[0]).T).T
+        return moved - relative + [*shear, -approach * MM_PER_M]
 
     def _nearly_at_force(self) -> float:
-        """A little beyond where force_n is to be expected [m]: where steps fail, one much further may have no answer."""
-        if self.press.force_n is None or self._rate <= 0.0:
+        """A little beyond where the force that stops it is to be expected [s]: where steps fail, one much further may have no answer."""
+        if self.stop_n is None or self._rate <= 0.0 or self._leg > 1:
             return np.inf
-        ahead = max(1.2 * (self.press.force_n - self.normal_force) / self._rate, SMALLEST_STEP * self._spacing)
-        return self.approach + ahead
+        speed = self._speed(self._leg)
+        ahead = max(1.2 * (self.stop_n - self.normal_force) / self._rate / speed, SMALLEST_STEP * self._spacing)
+        return self.time + ahead
 
     def _stop_at_force(self, here: _State, new: float, force: float) -> Generator[Request, NewtonReport, tuple[float, float]]:
-        """The approach between `here` and `new` where the normal force is force_n, and the force there; the solids are left at it."""
-        wanted = self.press.force_n
+        """The time [s] between `here` and `new` where the normal force is what stops it, and the force; the solids are left at it."""
+        wanted, way, leg = self.stop_n, self.way, self._leg
         assert wanted is not None
-        low, high = (here.approach, self.normal_force), (new, force)
-        beyond = self._state(new, self._seconds(here, new))
-        while abs(force - wanted) > FORCE_TOLERANCE * wanted and high[0] - low[0] > 1e-9:
+
+        def approach(time: float) -> float:
+            return way.at(leg, time)[0] / MM_PER_M
+
+        low, high = (here.time, self.normal_force), (new, force)
+        beyond = self._state(new, approach(new), new - here.time)
+        while abs(force - wanted) > FORCE_TOLERANCE * wanted and approach(high[0]) - approach(low[0]) > 1e-9:
             fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
             new = low[0] + float(fraction) * (high[0] - low[0])
-            if not (yield from self._attempt(here, new)):
+            if not (yield from self._attempt(here, new, approach(new))):
                 break  # a longer step converged: keep to that, a little beyond the force
             force = -self.problem.contact_force()[2]
             if force > wanted:
-                high, beyond = (new, force), self._state(new, self._seconds(here, new))
+                high, beyond = (new, force), self._state(new, approach(new), new - here.time)
             else:
                 low = new, force
         else:
             return new, force
-        yield from self._return_to(beyond, LOOKED_MM + 2 * (high[0] - here.approach) * MM_PER_M)
+        yield from self._return_to(beyond, LOOKED_MM + 2 * (approach(high[0]) - here.approach) * MM_PER_M)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
 
@@ -430,10 +519,12 @@ class _Search(_March):
     """Looks for the approach at which the force that ends a press is reached, straight down, and remembers the way there."""
 
     def __init__(self, problem: PressProblem, record: Record) -> None:
-        scene = problem.scene
-        limit = furthest_approach(scene)
-        press = Press(depth_mm=limit * MM_PER_M, force_n=scene.press.force_n, speed_mm_s=scene.press.speed_mm_s)
-        super().__init__(problem, press, limit, record)
+        press = replace(problem.scene.press, shear_mm=(0.0, 0.0), twist_deg=0.0)
+        self.depth = furthest_approach(problem.scene)
+        """The farthest that it looks [m]."""
+        way = straight(press, self.depth * MM_PER_M, hold=False)
+        places = np.append(np.arange(0.0, self.depth, LONGEST_STEP), self.depth)
+        super().__init__(problem, replace(way, recorded=places * MM_PER_M / press.speed_mm_s), record, press.force_n)
         self.trail: list[_State] = []
 
     def _arrive(self, state: _State, force: float) -> None:
@@ -456,15 +547,17 @@ class _Search(_March):
         """Records equally spaced states to `depth` [m], each a step from the one before it on the way; whether all were found."""
         self.recorder = self.record(self.problem)
         places = np.array([state.approach for state in self.trail])
+        speed = self.problem.scene.press.speed_mm_s / MM_PER_M
+        self.way = straight(self.problem.scene.press, depth * MM_PER_M)
         for number in range(states):
             target = depth * number / (states - 1)
             before = max(int(np.searchsorted(places, target * (1 - 1e-9))) - 1, 0)
             here = self.trail[before]
             self._previous = self.trail[before - 1] if before else None
             yield from self._return_to(here, LOOKED_MM)
-            if number > 0 and not (yield from self._attempt(here, target)):
+            if number > 0 and not (yield from self._attempt(here, target / speed, target)):
                 return False
-            self.approach = target
-            self._keep(states, progress)
+            self.time, self.approach = target / speed, target
+            self._keep(progress)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return True

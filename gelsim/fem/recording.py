@@ -37,6 +37,7 @@ class Recorder:
     def __init__(self, problem: PressProblem) -> None:
         self.problem = problem
         self.approach: list[float] = []
+        self._time: list[float] = []
         self._numbers: dict[str, list[float]] = {}
         self._force: list[Array] = []
         self._pressure: list[Array] = []
@@ -44,12 +45,13 @@ class Recorder:
         self._displacement: list[Array] = []
         self._clock = time.perf_counter()
 
-    def keep(self, approach: float, newton_iterations: int, factorisations: int) -> None:
-        """Records the present state, at an approach [m]; the counts are since the last one."""
+    def keep(self, time_s: float, approach: float, newton_iterations: int, factorisations: int) -> None:
+        """Records the present state, at a time [s] and an approach [m]; the counts are since the last one."""
         problem = self.problem
         now = time.perf_counter()
         area, pressure = self._contact()
         self.approach.append(approach)
+        self._time.append(time_s)
         self._force.append(problem.contact_force())
         self._pressure.append(pressure)
         self._overlap.append(_mean_overlap(problem) / MM_PER_M)
@@ -84,6 +86,7 @@ class Recorder:
             numbers[name] = numbers[name].astype(np.int32)
         return Deformation(
             approach=np.array(self.approach),
+            time=np.array(self._time),
             force=np.array(self._force),
             contact_pressure=pressure,
             gel=gel_motion,

@@ -115,4 +115,4 @@ def further(before: Deformation | None, press: Deformation) -> Deformation:
     """Of two tries of one press the one to return."""
     if before is None:
         return press
-    return max(before, press, key=lambda one: (not one.lost, one.status is SolveStatus.CONVERGED, one.approach[-1]))
+    return max(before, press, key=lambda one: (not one.lost, one.status is SolveStatus.CONVERGED, one.time[-1], one.approach[-1]))

@@ -409,6 +409,8 @@ class Catalogue:
                 layers[-1]["press"]["depth_mm"] = min(depth, RIGID_DEEPEST * base.gel.thickness_mm)
             scale, slope = draw(plan.modulus_scale, rng, number), draw(plan.shore_slope, rng, number)
             scene = _hardened(build_scene(*layers), scale, slope)
+            if scene.press.depth_mm is None:
+                raise SceneError("press.depth_mm = none: presses of a plan go to a depth, with press.force_n to stop them; no path")
         except GelsimError as error:
             raise SceneError(f"plan {plan.name}, seed {self.seed}, press {number} ({group.name}): {error}") from None
         return Press(number, group, thing, sensor, scene, self._split(group, owner, thing))

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.data.episodes import episode_file, gel_facts, survey, write_episode, write_meta
+from gelsim.data.video import MOST_FRAMES, MOST_PIXELS, VIDEOS, video_frames
 from gelsim.errors import SceneError
 from gelsim.generate.plan import SPLITS
 from gelsim.results import Episode
@@ -33,10 +33,7 @@ from gelsim.scene.layers import build_scene
 from gelsim.scene.shape_table import SHAPES
 from gelsim.tables import read_csv
 
-VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".webm")
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
-LONGEST_SECONDS, MOST_FRAMES, MOST_PIXELS = 60.0, 1800, 2**23
-FFMPEG_SECONDS = 300.0
 KEPT = 60
 """Frames of an episode at most: the last ones up to the peak."""
 LEAD, QUIET = 2, 3
@@ -241,27 +238,10 @@ def find_press(
 
 
 def _video(path: Path, resolution: tuple[int, int]) -> tuple[NDArray[np.uint8], float]:
-    """Frames (N, H, W, 3) and their rate. ffmpeg scales and counts, so memory is bounded whatever a file says, which may name no other."""
-    import imageio_ffmpeg
-
-    width, height = resolution
-    command = [
-        imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", "-protocol_whitelist", "file,pipe", "-max_pixels", str(MOST_PIXELS),
-        "-t", f"{LONGEST_SECONDS:g}", "-i", f"file:{path}", "-frames:v", str(MOST_FRAMES), "-vf", f"scale={width}:{height}:flags=area",
-        "-f", "rawvideo", "-pix_fmt", "rgb24", "-",
-    ]  # fmt: skip
     try:
-        done = subprocess.run(command, capture_output=True, timeout=FFMPEG_SECONDS)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise _Unusable(f"ffmpeg did not read it ({type(error).__name__})") from None
-    said = done.stderr.decode(errors="replace")
-    count = len(done.stdout) // (width * height * 3)
-    if done.returncode or count < 2:
-        lines = said.strip().splitlines()
-        raise _Unusable(f"cannot be read as a video of two or more frames ({lines[-1] if lines else 'no word of ffmpeg'})")
-    rate = re.search(r"Video:.* ([\d.]+) fps", said)
-    frames = np.frombuffer(done.stdout, np.uint8, count * width * height * 3).reshape(count, height, width, 3)
-    return frames, float(rate[1]) if rate and float(rate[1]) > 0 else 30.0
+        return video_frames(path, resolution)
+    except ValueError as error:
+        raise _Unusable(str(error)) from None
 
 
 def _pictures(path: Path, resolution: tuple[int, int]) -> tuple[NDArray[np.uint8], float]:

@@ -10,8 +10,9 @@ from scipy.spatial import KDTree
 
 from gelsim.mesh.sizing import SIZES, Footprint, MeshSizes, SizeField, class_above, class_below, contact_edge
 from gelsim.scene.definition import Scene
+from gelsim.scene.motion import widest
 from gelsim.scene.shape_table import SHAPES
-from gelsim.shape.orientation import is_reoriented
+from gelsim.shape.orientation import is_reoriented, turned
 from gelsim.shape.outlines import fine_feature
 from gelsim.shape.shapes import first_touch, gel_height, press_depth, sharp_edges
 from gelsim.shape.solids import Array
@@ -33,16 +34,31 @@ def _overlapping(scene: Scene, depth: float) -> tuple[Array, Array]:
     """
     surface, turn, shift = first_touch(scene)
     placed = surface.nodes @ turn.T + shift
+    way = widest(scene)
+    if way.rolls:
+        return _rolled_over(scene, depth, surface.nodes, placed, np.array([*np.array(scene.press.offset_mm) * MM, shift[2]]))
     over = (np.abs(placed[:, :2]) <= np.array(scene.gel.size_mm) * MM / 2).all(axis=1)
     inside = over & (placed[:, 2] - gel_height(scene.gel, placed[:, :2]) < depth)
     return (surface.nodes[inside], placed[inside]) if inside.any() else (np.zeros((1, 3)), shift[None])
+
+
+def _rolled_over(scene: Scene, depth: float, nodes: Array, placed: Array, pivot: Array) -> tuple[Array, Array]:
+    """`_overlapping` of an object that rolls about its pivot: at any of its turns."""
+    way = widest(scene)
+    half, found = np.array(scene.gel.size_mm) * MM / 2, []
+    for turn in way.turns_on_way():
+        there = (placed - pivot) @ (turned(turn) @ turned(way.turn[0]).T).T + pivot
+        inside = (np.abs(there[:, :2]) <= half).all(axis=1) & (there[:, 2] - gel_height(scene.gel, there[:, :2]) < depth)
+        found.append((nodes[inside], there[inside]))
+    return np.vstack([one for one, _ in found]), np.vstack([there for _, there in found])
 
 
 def footprint(scene: Scene) -> Footprint:
     """The undeformed overlap at full depth with a margin for drape and tangential travel, in classes."""
     touched = _overlapping(scene, press_depth(scene))[1][:, :2]
     half = np.array(scene.gel.size_mm) * MM / 2
-    margin = 0.1 * MM + np.abs(scene.press.shear_mm) * MM
+    way = widest(scene)
+    margin = 0.1 * MM + way.sideways * MM
     low, high = touched.min(axis=0) - margin, touched.max(axis=0) + margin
     inner = np.maximum(0.0, np.maximum(low, -high))
     outer = np.maximum(-low, high)
@@ -51,7 +67,7 @@ def footprint(scene: Scene) -> Footprint:
     width = high_class - low_class
     row = SHAPES[scene.object.shape]
     stands = not is_reoriented(scene.object)
-    drawn = row.drawn and stands and abs(scene.press.twist_deg) <= _ALONG
+    drawn = row.drawn and stands and np.abs(way.turn[:, 2]).max() <= _ALONG
     stretch = float(np.clip(np.floor(width[1] / width[0]), 1.0, 3.0)) if drawn else 1.0
     round_area = row.turned and stands and not any(low_class)
     side_x, side_y = (int(np.sign(h)) if each else 0 for each, h in zip(low_class, low + high, strict=True))

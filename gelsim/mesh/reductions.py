@@ -21,6 +21,7 @@ import numpy as np
 from gelsim.errors import SceneError
 from gelsim.mesh.profiles import overlap
 from gelsim.scene.definition import Scene
+from gelsim.scene.motion import widest
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.orientation import is_reoriented
 from gelsim.shape.shapes import press_symmetry
@@ -79,14 +80,15 @@ def choose_reduction(scene: Scene) -> Reduction:
 def _against(scene: Scene, kind: str) -> str:
     """Why the scene does not reduce to that, or ""."""
     press, body, gel = scene.press, scene.object, scene.gel
-    for name in ("tilt_deg", "shear_mm"):
-        value = getattr(press, name)
-        if any(value):
-            return f"press.{name} = [{value[0]:g}, {value[1]:g}] is not zero"
+    way = widest(scene)
+    if way.turns[:2].any():
+        return "the object is tilted"
+    if way.sideways.any():
+        return f"the object goes sideways, by up to [{way.sideways[0]:g}, {way.sideways[1]:g}] mm"
     if is_reoriented(body):
         return "object.press_side and object.rotation_deg turn the object"
-    if press.twist_deg:
-        return f"press.twist_deg = {press.twist_deg:g} is not zero"
+    if way.turns[2]:
+        return "the object is twisted"
     if not body.rigid and (body.skin.thickness_mm or body.grains.count):
         return "the object has parts of several materials"
     if gel.prony_g or (body.prony_g and not body.rigid):

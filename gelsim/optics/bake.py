@@ -71,6 +71,7 @@ AFTER_LIGHT = (
     "tone",
     "gamma",
     "rest",
+    "rest_smooth",
 )
 """Of the camera's fields, those that `optics.isp` answers for: they change the picture and not the light."""
 
@@ -138,7 +139,7 @@ def field_key(scene: Scene) -> str:
 def measure(scene: Scene, variant: VariantChoice, progress: Progress = lambda *_: None) -> LightField:
     """Measures the field; what it cost and how far it is off stand in its `errors`."""
     start = time.perf_counter()
-    scene = scene.replace(camera=replace(scene.camera, rest=None))
+    scene = scene.replace(camera=replace(scene.camera, rest=None, rest_smooth=()))
     plain = scene.replace(markers=replace(scene.markers, layout="none"), coating=replace(scene.coating, grain=0.0))
     total = len(scene.lights.lights) * len(HEIGHTS_MM) * TILE_PICTURES + len(HEIGHTS_MM) + 2 * PROBES + UNSEEN
     done = 0

@@ -141,7 +141,7 @@ class BakedRenderer:
             self._tables |= own
             self._draw = self._compiled()
         self._like = None
-        if self._scene.camera.rest is not None:
+        if self._scene.camera.has_rest:
             width, height = self._scene.render.resolution
             rest = unmoved(self._scene, membrane)
             still = self._arrays.numpy(self.launch(self.upload([rest]))[0]).reshape(height, width, 4)[..., :3]
@@ -264,7 +264,7 @@ def coat_texture(scene: Scene) -> tuple[NDArray[np.float32], tuple[int, int]]:
 
     One texel, and (0, 0), where the coat is the same everywhere.
     """
-    if scene.camera.rest is not None or (scene.markers.layout == "none" and scene.coating.grain == 0):
+    if scene.camera.has_rest or (scene.markers.layout == "none" and scene.coating.grain == 0):
         return np.array([[[1.0, 0.0]]], np.float32), (0, 0)
     coverage, grain = marker_coverage(scene), grain_pattern(scene)
     for axis in (0, 1):

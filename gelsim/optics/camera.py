@@ -136,6 +136,12 @@ def pixel_rays(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.stack(np.broadcast_arrays(*origin), axis=-1), np.stack(direction, axis=-1)
 
 
+def seen_places(scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the rays of pixels (column, row), shape (K, 2), meet the plane z = 0 [m], shape (K, 2)."""
+    origin, direction, _ = gel_ray(make_lens(scene), pixels[:, 0], pixels[:, 1])
+    return np.stack([o - origin[2] / direction[2] * d for o, d in zip(origin[:2], direction[:2], strict=True)], axis=-1)
+
+
 def project(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     """Where points appear in the picture.
 

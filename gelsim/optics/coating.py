@@ -22,16 +22,17 @@ TEXEL = 0.0125e-3
 
 
 def marker_coverage(scene: Scene) -> NDArray[np.float32]:
-    """Share of each texel that markers cover, shape (rows, columns): row 0 is y = -size/2, column 0 is x = -size/2.
+    """Share of each texel that markers cover, as `layout_coverage`; none of it where the rest is given and shows them."""
+    coverage = layout_coverage(scene)
+    return np.zeros_like(coverage) if scene.camera.has_rest else coverage
 
-    None is covered where a photograph of the rest shows them.
-    """
+
+def layout_coverage(scene: Scene) -> NDArray[np.float32]:
+    """Share of each texel within markers' outlines, shape (rows, columns): row 0 is y = -size/2, column 0 is x = -size/2."""
     width, height = np.array(scene.gel.size_mm) * 1e-3
     columns, rows = int(np.ceil(width / TEXEL)), int(np.ceil(height / TEXEL))
     step = np.array([width / columns, height / rows])
     coverage = np.zeros((rows, columns), np.float32)
-    if scene.camera.rest is not None:
-        return coverage
     layout = marker_layout(scene)
     for centre, radius, outline in zip(layout.centres, layout.radii, layout.outline, strict=True):
         reach = 2 * radius + step.max()
@@ -56,7 +57,7 @@ def marker_coverage(scene: Scene) -> NDArray[np.float32]:
 def grain_pattern(scene: Scene) -> NDArray[np.float32]:
     """Relative reflectance of the coat, mean 1, shape (rows, columns), or (1, 1) without grain; a photograph of the rest shows its own."""
     coating = scene.coating
-    if coating.grain == 0 or scene.camera.rest is not None:
+    if coating.grain == 0 or scene.camera.has_rest:
         return np.ones((1, 1), np.float32)
     from scipy.ndimage import gaussian_filter
 

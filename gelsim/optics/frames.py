@@ -14,7 +14,7 @@ from gelsim.optics import bake
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.camera import marker_pixels
 from gelsim.optics.render import Renderer
-from gelsim.optics.rest import rest_levels
+from gelsim.optics.rest import rest_pictures
 from gelsim.optics.variant import VariantChoice, choose_variant
 from gelsim.results import Frame, Membrane
 from gelsim.scene.definition import Scene
@@ -46,8 +46,8 @@ def render_frames(
     """
     chosen = variant or choose_variant(device)
     scene, _ = bake.settle_mode(scene)
-    if scene.camera.rest is not None:
-        rest_levels(scene)
+    if scene.camera.has_rest:
+        rest_pictures(scene)
     if renderer is not None:
         drawer: Any = renderer
     elif scene.render.mode == "baked":

@@ -59,8 +59,9 @@ def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDAr
     Raises:
         SceneError: The sensor has a photograph of its rest, which only a membrane can move: `render_frames` does.
     """
-    if scene.camera.rest is not None:
-        raise SceneError(f"camera.rest = {scene.camera.rest!r}: radiance alone cannot be developed with it; give the sensor without")
+    if scene.camera.has_rest:
+        given = "camera.rest_smooth" if scene.camera.rest is None else f"camera.rest = {scene.camera.rest!r}"
+        raise SceneError(f"{given}: radiance alone cannot be developed with it; give the sensor without")
     arrays = NumPyArrays()
     pipeline, tables = camera_pipeline(scene, arrays)
     colour = [np.ascontiguousarray(radiance[..., channel], np.float32).ravel() for channel in range(3)]
@@ -81,7 +82,7 @@ def camera_pipeline(scene: Scene, arrays: Arrays) -> tuple[Pipeline, dict[str, A
     numbers = np.concatenate([shot, np.square(camera.read_noise), camera.noise_sd, [camera.gamma]])
     early, late = any(camera.full_well) or any(camera.read_noise), any(camera.noise_sd)
     by_pixel = gain.shape[:2] != (1, 1)
-    rest = scene.render.resolution if camera.rest is not None else (0, 0)
+    rest = scene.render.resolution if camera.has_rest else (0, 0)
     pipeline = Pipeline(by_pixel, early, late, camera.tone == "srgb", camera.gamma != 1.0, rest)
     gain = gain.reshape(-1, 3).T
     return pipeline, {"gain": arrays.floats(gain) if by_pixel else arrays.numbers(gain), "camera": arrays.numbers(numbers)}

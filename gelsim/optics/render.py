@@ -61,7 +61,7 @@ class Renderer:
         """The image pipeline; of a sensor with a photograph of its rest, its light at rest has to be drawn for it."""
         if self._developer is None:
             rest = None
-            if self._scene.camera.rest is not None:
+            if self._scene.camera.has_rest:
                 still = unmoved(self._scene, membrane)
                 rest = rest_on(self._scene, self._arrays, self.radiance(still))
                 self._places = RestPlaces(self._scene, self._arrays, still)

@@ -75,7 +75,7 @@ class ResultFolder:
             target = self.path / name
             shutil.rmtree(target) if target.is_dir() and not target.is_symlink() else target.unlink(missing_ok=True)
 
-    def write(self, name: str, writer: Callable[[Path], None]) -> Path:
+    def write(self, name: str, writer: Callable[[Path], object]) -> Path:
         """Lets `writer` make a file or a folder under a temporary name and renames it to `name` when it is whole."""
         target = self.path / name
         partial = target.with_name(f".{target.stem}-{os.getpid()}.partial{target.suffix}")
@@ -101,11 +101,9 @@ class ResultFolder:
 def press_arrays(scene: Scene, deformation: Deformation) -> dict[str, NDArray]:
     """The arrays of press.npz: name -> array in SI units (table in README.md)."""
     d = deformation
-    time = d.approach / (scene.press.speed_mm_s * MM)
-    time[1:][np.diff(d.approach) == 0.0] += scene.press.hold_s  # the state after a hold, where the press has not moved on
     return {
         "approach": d.approach,
-        "time": time,
+        "time": d.time,
         "force": d.force,
         "contact_area": d.contact_area,
         "contact_pressure": d.contact_pressure,

@@ -1,5 +1,5 @@
-"""sheet.png: a press at a glance. Frames in a row; below them the membrane's height, force and area against approach, a section, the
-meshes."""
+"""sheet.png: a press at a glance. Frames in a row; below them the membrane's height, force and area against approach or time, a section,
+the meshes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def draw_sheet(path: Path, scene: Scene, deformation: Deformation, frames: list[
         axes.set_title(f"{deformation.approach[index] / MM:.2f} mm   {force:.2f} N", fontsize=10, color=INK, pad=3)
     below, high = top + 3.1, PANEL_ASPECT * 3.3
     heights = place(0.65, below, 2.95, high)
-    draw_height(heights, place(3.65, below, 0.1, high), scene, frames)
+    draw_height(heights, place(3.65, below, 0.1, high), scene, frames, deformation.telling)
     draw_force(place(5.1, below, 2.6, high), deformation)
     draw_section(place(8.75, below, 3.3, high), scene, deformation)
     draw_meshes(place(12.4, below, 3.3, high), scene, deformation)
@@ -94,40 +94,40 @@ def draw_mechanics(path: Path, scene: Scene, deformation: Deformation) -> None:
     figure.savefig(path, format="png")
 
 
-def draw_height(axes: Any, scale: Any, scene: Scene, frames: list[Frame]) -> None:
-    """How far the membrane's height differs between the last frame and the first, as the camera sees it; `scale` holds the colour bar."""
+def draw_height(axes: Any, scale: Any, scene: Scene, frames: list[Frame], state: int) -> None:
+    """How far the membrane's height differs between a frame and the first, as the camera sees it; `scale` holds the colour bar."""
     from gelsim.optics.camera import pixel_size
 
     rows, columns = frames[0].height.shape
     half_x, half_y = 0.5 * columns * pixel_size(scene) / MM, 0.5 * rows * pixel_size(scene) / MM
-    shown = (frames[-1].height - frames[0].height) / MM
+    shown = (frames[state].height - frames[0].height) / MM
     picture = axes.imshow(shown, extent=(-half_x, half_x, half_y, -half_y), cmap="viridis", interpolation="nearest", aspect="auto")
     axes.figure.colorbar(picture, cax=scale)
     if np.isfinite(shown).all() and np.ptp(shown) > 0:
         axes.contour(
             np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows), shown, 8, colors="white", linewidths=0.4, alpha=0.6
         )
-    axes.set_title("membrane height, last minus first [mm]", fontsize=10, color=INK)
+    axes.set_title(f"membrane height, {'last' if state == len(frames) - 1 else f'state {state}'} minus first [mm]", fontsize=10, color=INK)
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("y [mm]", labelpad=0)
 
 
 def draw_force(axes: Any, deformation: Deformation) -> None:
-    """Normal and tangential force, and contact area, against approach."""
-    approach = deformation.approach / MM
-    axes.plot(approach, -deformation.force[:, 2], "o-", color=INK, markersize=4, label="normal force [N]")
+    """Normal and tangential force, and contact area, against approach, or time where the object does not always go deeper."""
+    name, along = deformation.along
+    axes.plot(along, -deformation.force[:, 2], "o-", color=INK, markersize=4, label="normal force [N]")
     tangential = np.hypot(deformation.force[:, 0], deformation.force[:, 1])
     if tangential.max() > 1e-3 * np.abs(deformation.force[:, 2]).max():
-        axes.plot(approach, tangential, "o--", color="#2f7f5f", markersize=3, label="tangential force [N]")
-    axes.set_xlabel("approach [mm]")
+        axes.plot(along, tangential, "o--", color="#2f7f5f", markersize=3, label="tangential force [N]")
+    axes.set_xlabel(name)
     axes.set_ylabel("force [N]", labelpad=1)
-    axes.set_title("force and area against approach", fontsize=10, color=INK)
+    axes.set_title(f"force and area against {name.split()[0]}", fontsize=10, color=INK)
     area = axes.twinx()
-    area.plot(approach, deformation.contact_area / MM**2, "s-", color="#b5562b", markersize=3, label="contact area [mm²]")
+    area.plot(along, deformation.contact_area / MM**2, "s-", color="#b5562b", markersize=3, label="contact area [mm²]")
     area.set_ylabel("contact area [mm²]", color="#b5562b", labelpad=1)
     area.tick_params(colors="#b5562b")
     handles = [*axes.get_lines(), *area.get_lines()]
-    axes.legend(handles, [line.get_label() for line in handles], fontsize=8, loc="upper left", frameon=False)
+    axes.legend(handles, [line.get_label() for line in handles], fontsize=8, loc="upper left" if name[0] == "a" else "best", frameon=False)
     for side in (axes, area):
         side.set_ylim(bottom=0)
         side.spines["top"].set_visible(False)
@@ -135,21 +135,22 @@ def draw_force(axes: Any, deformation: Deformation) -> None:
 
 
 def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
-    """Gel and object cut at y = 0 in the last state."""
+    """Gel and object cut at y = 0 in the state that shows the press best."""
     from matplotlib.collections import LineCollection
 
+    state = deformation.telling
     window = -scene.gel.thickness_mm
     view = 0.26 * scene.gel.size_mm[0]
     for motion, colour in ((deformation.object, OBJECT_COLOUR), (deformation.gel, GEL_COLOUR)):
-        for index, style in ((0, ":"), (-1, "-")):
+        for index, style in ((0, ":"), (state, "-")):
             segments = list(section_segments(motion, index) / MM)
             ink, width = (colour, 1.8) if style == "-" else (INK, 0.7)
             axes.add_collection(LineCollection(segments, colors=ink, linewidths=width, linestyles=style, capstyle="round", zorder=3))
-    gel = section_segments(deformation.gel, -1) / MM
+    gel = section_segments(deformation.gel, state) / MM
     if len(gel):
         outline = gel.reshape(-1, 2)[np.argsort(gel.reshape(-1, 2)[:, 0])]
         axes.fill_between(outline[:, 0], window, outline[:, 1], color=GEL_COLOUR, alpha=0.3, linewidth=0)
-    for loop in closed_loops(section_segments(deformation.object, -1) / MM):
+    for loop in closed_loops(section_segments(deformation.object, state) / MM):
         axes.fill(loop[:, 0], loop[:, 1], color=OBJECT_COLOUR, alpha=0.3, linewidth=0)
     axes.axhspan(window - 1.0, window, color="#dfe6ee", zorder=0)
     axes.text(0.0, window - 0.5, "window", ha="center", va="center", fontsize=8, color=INK)
@@ -158,11 +159,12 @@ def draw_section(axes: Any, scene: Scene, deformation: Deformation) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("z [mm]", labelpad=0)
-    axes.set_title("section at y = 0: first touch (dotted), last", fontsize=10, color=INK)
+    shown = "last" if state == len(deformation.approach) - 1 else f"state {state}"
+    axes.set_title(f"section at y = 0: first touch (dotted), {shown}", fontsize=10, color=INK)
 
 
 def draw_meshes(axes: Any, scene: Scene, deformation: Deformation) -> None:
-    """Both surfaces' meshes in the last state, the object lifted off the gel, the gel coloured by its contact pressure."""
+    """Both surfaces' meshes in the state that shows the press best, the object lifted off the gel, the gel coloured by pressure."""
     import matplotlib
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgb
@@ -172,12 +174,12 @@ def draw_meshes(axes: Any, scene: Scene, deformation: Deformation) -> None:
     away = np.array([-np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), -np.sin(elevation)])
     up = np.cross(right, away)
     light = np.array([-0.35, -0.5, 0.8]) / np.linalg.norm([-0.35, -0.5, 0.8])
-    pressure = deformation.contact_pressure[-1] / KPA
+    pressure = deformation.contact_pressure[deformation.telling] / KPA
     peak = float(pressure.max())
     lift = 0.28 * scene.gel.size_mm[1] * MM
     low, wide = np.inf, 0.0
     for motion, base, raised in ((deformation.gel, GEL_COLOUR, 0.0), (deformation.object, OBJECT_COLOUR, lift)):
-        points = motion.rest + motion.displacement[-1] + np.array([0.0, 0.0, raised])
+        points = motion.rest + motion.displacement[deformation.telling] + np.array([0.0, 0.0, raised])
         triangles = motion.faces6[:, :3]
         corners = points[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -219,7 +221,7 @@ def draw_surface(path: Path, vertices: Array, faces: NDArray[np.int64], title: s
     views = {
         "front: x right, z up": ("x", "z"),
         "side: y right, z up": ("y", "z"),
-        "from below, as the gel sees it: x right, y down": ("x", "y"),
+        "from below, as the gel sees it; + touches first": ("x", "y"),
     }
     corners = vertices[faces] / MM
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -234,6 +236,7 @@ def draw_surface(path: Path, vertices: Array, faces: NDArray[np.int64], title: s
         colour = (np.array(to_rgb(OBJECT_COLOUR)) * shade)[order]
         axes.add_collection(PolyCollection(list(corners[order][:, :, [a, b]]), facecolors=colour, edgecolors=colour * 0.75, linewidths=0.3))
         axes.autoscale_view()
+        axes.plot(0.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.6, zorder=3)
         axes.set_aspect("equal")
         if letters == ("x", "y"):
             axes.invert_yaxis()

@@ -30,6 +30,7 @@ from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
 from gelsim.scene import materials
 from gelsim.scene.definition import Press, Scene
 from gelsim.scene.layers import load_scene, scene_table
+from gelsim.scene.motion import motion
 from gelsim.units import MM
 
 if TYPE_CHECKING:
@@ -349,10 +350,11 @@ def _look_at_file(scene: Scene, record: Record) -> None:
     for note in part.notes:
         record.note(note)
     height_mm = part.surface.vertices[:, 2].max() / MM
-    if scene.press.depth_mm is not None and scene.press.depth_mm >= height_mm:
+    way = motion(scene.press)
+    name, depth_mm = ("press.depth_mm", scene.press.depth_mm) if way is None else ("press.path", way.deepest)
+    if depth_mm is not None and depth_mm >= height_mm:
         raise SceneError(
-            f"press.depth_mm = {scene.press.depth_mm:g} mm: it must be less than the height of object.mesh = {scene.object.mesh!r}, "
-            f"{height_mm:.4g} mm"
+            f"{name} = {depth_mm:g} mm: it must be less than the height of object.mesh = {scene.object.mesh!r}, {height_mm:.4g} mm"
         )
 
 
@@ -424,7 +426,7 @@ def run(
     if render_frames:
         # What cannot be drawn should be known before minutes go into the press.
         scene, _ = _choose_renderer(scene, device, record)
-    content = digest(Path(scene.object.mesh)) if scene.object.mesh else ""  # before it is solved, which takes minutes
+    content = "".join(digest(Path(file)) for file in (scene.object.mesh, scene.press.path_csv) if file)  # before minutes of solving
     earlier = _earlier_press(scene, content, folder.path, solving) if resume else None
     if earlier is None:
         try:
@@ -457,7 +459,7 @@ def run(
     if render_frames:
         report["video"] = {
             "fps": outputs.video_fps(len(deformation.approach)),
-            "slower_than_real_time_by": _slow_motion(scene, deformation),
+            "slower_than_real_time_by": _slow_motion(deformation),
         }
     folder.write("report.json", lambda path: outputs.write_report(path, report))
     return report
@@ -467,9 +469,10 @@ def summary(report: dict[str, Any]) -> str:
     """A report in a few lines for people."""
     final = report["final"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in report["seconds"].items() if name != "total" and value >= 0.05)
+    most = f" (at most {final['largest_force_n']:.3f} N)" if final["largest_force_n"] > 1.01 * final["normal_force_n"] else ""
     lines = [
         f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N{_doubt(report)} "
-        f"on {final['contact_area_mm2']:.1f} mm²{_why_ended(report)}",
+        f"on {final['contact_area_mm2']:.1f} mm²{most}{_why_ended(report)}",
         f"{report['seconds']['total']:.1f} s ({seconds})",
     ]
     return "\n".join([*lines, *(f"warning: {text}" for text in report["warnings"])])
@@ -510,7 +513,7 @@ def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, 
 def _earlier_press(scene: Scene, content: str, out: Path, record: Record) -> tuple[Deformation, Scene] | None:
     """The press that lies in the folder and the scene that it was made for, if it is whole and of the same mechanics; fills `record`.
 
-    `content`: the digest of the scene's mesh file.
+    `content`: the digests of the scene's mesh file and of its measured path.
     """
     if not (out / "press.npz").exists():
         return None
@@ -524,9 +527,10 @@ def _earlier_press(scene: Scene, content: str, out: Path, record: Record) -> tup
     deformation, account = outputs.read_press(out / "press.npz"), outputs.read_account(out / "press.npz")
     if deformation.status is not SolveStatus.CONVERGED:
         return None
-    if scene.object.mesh is not None and account.get("mesh_sha256") != content:
+    files = [file for file in (scene.object.mesh, scene.press.path_csv) if file]
+    if files and account.get("mesh_sha256") != content:
         raise SceneError(
-            f"--resume {out}: its press was made with another {scene.object.mesh}; give --force to solve it anew, or another --out"
+            f"--resume {out}: its press was made with another {' or '.join(files)}; give --force to solve it anew, or another --out"
         )
     record.add(Record(meshes=account.get("meshes", {}), choices=account.get("choices", {}), warnings=account.get("warnings", [])))
     deformation.info.update(account.get("info", {}))
@@ -582,8 +586,9 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
         "final": {
             "frames": len(deformation.approach),
             "approach_mm": deformation.approach[-1] * 1e3,
-            "normal_force_n": -deformation.force[-1, 2],
+            "normal_force_n": 0.0 - deformation.force[-1, 2],
             "force_n": deformation.force[-1],
+            "largest_force_n": -deformation.force[:, 2].min(),
             "contact_area_mm2": deformation.contact_area[-1] * 1e6,
             "min_jacobian": deformation.min_jacobian.min(),
             "penetration_mm": overlap,
@@ -607,8 +612,9 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
 
 
 def _beside_picture(scene: Scene, deformation: Deformation) -> list[str]:
-    """A warning where most of the last state's contact pressure lies outside the camera's field, its tilt left out."""
-    pressure = np.maximum(deformation.contact_pressure[-1], 0.0)
+    """A warning where most of the contact pressure of the state that shows the press best lies outside the camera's field, its tilt left
+    out."""
+    pressure = np.maximum(deformation.contact_pressure[deformation.telling], 0.0)
     if not pressure.any():
         return []
     away = np.abs(deformation.gel.rest[:, :2] / MM - scene.camera.offset_mm)
@@ -622,10 +628,10 @@ def _beside_picture(scene: Scene, deformation: Deformation) -> list[str]:
     ]
 
 
-def _slow_motion(scene: Scene, deformation: Deformation) -> float:
+def _slow_motion(deformation: Deformation) -> float:
     """How much longer the video takes than the press."""
     shown = len(deformation.approach) / outputs.video_fps(len(deformation.approach))
-    return round(shown / max(float(deformation.approach[-1]) * 1e3 / scene.press.speed_mm_s, 1e-9), 1)
+    return round(shown / max(float(deformation.time[-1]), 1e-9), 1)
 
 
 def versions() -> dict[str, str | None]:

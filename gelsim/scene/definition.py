@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 from gelsim.errors import MaterialError, SceneError, within
 from gelsim.scene import materials
 from gelsim.scene.fields import convert, field_types, share, which
-from gelsim.scene.limits import LIMITS, SHADING_DEGREES, check_limits
+from gelsim.scene.limits import LIMITS, REST_TERMS, SHADING_DEGREES, check_limits
+from gelsim.scene.measured_path import measured_path
 from gelsim.scene.shape_table import SHAPES
 
 Vec2 = tuple[float, float]
@@ -192,14 +193,40 @@ class Contact:
 
 
 @dataclass(frozen=True)
+class Waypoint:
+    """Where the object goes next on a path; what is left out stays as it is."""
+
+    duration_s: float = 1.0
+    """How long that takes."""
+    depth_mm: float | None = None
+    """Approach of the object's base from first touch, linear in time; below 0 it is lifted off."""
+    force_n: float | None = None
+    """Instead of a depth: the normal force, linear in time; the approach follows."""
+    shear_mm: Vec2 | None = None
+    """Tangential travel from first touch."""
+    twist_deg: float | None = None
+    """Turn about z."""
+    tilt_deg: Vec2 | None = None
+    """Of the object about x, then y; it begins as press.tilt_deg."""
+
+
+@dataclass(frozen=True)
 class Press:
     depth_mm: float | None = 1.0
     """Total approach of the object's base from first touch."""
     force_n: float | None = 9.0
     """Stop early at this normal force; either may be left out, not both. A depth_mm that is given without it is reached, whatever the
-    force."""
+    force. Several, such as [1, 2, 5]: a path of one second to each."""
     frames: int = 10
-    """Recorded states, equally spaced in approach; the first is first touch."""
+    """Recorded states, the first is first touch: equally spaced in approach; of path in time, its waypoints among them (one each at least);
+    of path_csv equally spaced in time."""
+    path: tuple[Waypoint, ...] = ()
+    """Instead of depth_mm, force_n, shear_mm, twist_deg and hold_s: waypoints one after the other, each with duration_s (1) and any of
+    depth_mm or force_n, shear_mm, twist_deg, tilt_deg, as [[press.path]] tables (docs/mechanics.md, Paths). Linear between; what one leaves
+    out stays."""
+    path_csv: str | None = None
+    """Instead: a file with the object's apex as it was measured, t_s, x_mm, y_mm, z_mm and rx_deg, ry_deg, rz_deg, in the frame of
+    docs/conventions.md; its first row says offset_mm and tilt_deg. Every row is gone through."""
     tilt_deg: Vec2 = (0.0, 0.0)
     """Of the object about x, then y, through its apex; to turn another side to the gel give object.press_side or object.rotation_deg."""
     offset_mm: Vec2 = (0.0, 0.0)
@@ -213,10 +240,22 @@ class Press:
     speed_mm_s: float = 6.0
     """Approach speed: sets the time stamps, and how far a material with prony_g relaxes meanwhile; there is no inertia."""
     hold_s: float = 0.0
-    """How long the object then stays where it is, while gel and object relax: one more recorded state."""
+    """How long the object then stays where it is, while gel and object relax where they have prony_g: one more recorded state."""
     symmetry: str = "auto"
     """What is solved. "axisymmetric" | "plane-strain": a profile; "mirror": half or a quarter where object, gel and motion share mirror
     planes; "none": the whole. "auto": the smallest of these whose own error is small (docs/mechanics.md)."""
+
+    def __post_init__(self) -> None:
+        several = self.force_n
+        if isinstance(several, list | tuple):
+            if self.path or self.path_csv or self.depth_mm not in (Press.depth_mm, None, "none"):
+                raise SceneError(f"press.force_n = {list(several)}: several forces are a path of their own; leave out depth_mm and path")
+            object.__setattr__(self, "path", tuple(Waypoint(force_n=force) for force in several))
+            object.__setattr__(self, "force_n", None)
+        if self.path or self.path_csv not in (None, "none"):
+            for name in ("depth_mm", "force_n"):
+                if getattr(self, name) == getattr(Press, name):
+                    object.__setattr__(self, name, None)
 
 
 @dataclass(frozen=True)
@@ -257,6 +296,14 @@ class Camera:
     rest: str | None = None
     """A photograph without contact (PNG, JPG): frames are this picture, changed by what a press changes (docs/optics.md). It shows markers
     and grain of its own; [markers] then only says where their centres are."""
+    rest_smooth: tuple[float, ...] = ()
+    """In place of a photograph a smooth rest, with [markers] painted on it: exponents of red, green and blue for each of 1, u, v, u^2, uv,
+    v^2, ... of a level over 255 (docs/optics.md)."""
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether the picture without contact is given, and not the lights' affair."""
+        return self.rest is not None or bool(self.rest_smooth)
 
 
 @dataclass(frozen=True)
@@ -317,11 +364,15 @@ class Coating:
 @dataclass(frozen=True)
 class Markers:
     layout: str = "grid"
-    """"grid" | "none"."""
+    """"grid" | "random": as many as a grid has, no two nearer than 2.5 radii | "list": those of places | "none"."""
+    places: str | None = None
+    """Of layout "list": a CSV file of x_mm, y_mm and, if wanted, radius_mm."""
     pitch_mm: float = 1.3
     radius_mm: float = 0.2
     tilt_deg: float = 0.0
     """Of the rows, about z."""
+    offset_mm: Vec2 = (0.0, 0.0)
+    """Of the grid from the gel's centre."""
     jitter_mm: float = 0.0
     """Standard deviation of a marker's place in x and in y."""
     size_jitter: float = 0.0
@@ -373,6 +424,8 @@ class Scene:
             object.__setattr__(self, item.name, convert(getattr(self, item.name), field_types(Scene)[item.name], item.name))
         if isinstance(self.target_error, str):
             object.__setattr__(self, "target_error", share(self.target_error, "target_error"))
+        if self.press.path_csv is not None:
+            _begin_as_measured(self.press)
         _check(self)
 
     def replace(self, **sections: object) -> Scene:
@@ -415,27 +468,69 @@ def _check(scene: Scene) -> None:
     friction = scene.contact.friction_coefficient
     if isinstance(friction, str) and friction != "stick":
         raise SceneError(f'contact.friction_coefficient = {friction!r}: allowed is a number of 0 or more, or "stick"')
-    if press.depth_mm is None and press.force_n is None:
+    if press.path or press.path_csv is not None:
+        _check_path(scene)
+    elif press.depth_mm is None and press.force_n is None:
         raise SceneError("press.depth_mm and press.force_n are both none: give one, or both to stop at what comes first")
-    if press.hold_s and not (gel.prony_g or (body.prony_g and not body.rigid)):
-        raise SceneError(f"press.hold_s = {press.hold_s:g} s: nothing relaxes meanwhile; give gel.prony_g or object.prony_g, or no hold_s")
-    if press.depth_mm is not None:
-        if press.depth_mm >= body.height_mm and SHAPES[body.shape].made != "file":
-            raise SceneError(f"press.depth_mm = {press.depth_mm:g} mm: it must be less than object.height_mm = {body.height_mm:g} mm")
-        if body.rigid and press.depth_mm > 0.8 * gel.thickness_mm:
-            raise SceneError(
-                f"press.depth_mm = {press.depth_mm:g} mm: a rigid object may go at most 0.8 of gel.thickness_mm deep, "
-                f"{0.8 * gel.thickness_mm:g} mm"
-            )
+    elif press.depth_mm is not None:
+        _check_depth(scene, "press.depth_mm", press.depth_mm)
     for axis, offset, size in zip("xy", press.offset_mm, gel.size_mm, strict=True):
         if abs(offset) > 0.5 * size:
             raise SceneError(f"press.offset_mm = {offset:g} mm along {axis}: the gel ends at {0.5 * size:g} mm from its centre")
     _check_optics(scene)
-    if scene.markers.layout != "none" and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
+    if (scene.markers.layout == "list") != (scene.markers.places is not None):
+        given = f"markers.layout = {scene.markers.layout!r} and markers.places = {scene.markers.places!r}"
+        raise SceneError(f'{given}: layout "list" needs a file, the others have none')
+    if scene.markers.layout not in ("none", "list") and 2.0 * scene.markers.radius_mm >= scene.markers.pitch_mm:
         raise SceneError(
             f"markers.radius_mm = {scene.markers.radius_mm:g} mm: markers overlap unless it is less than half of "
             f"markers.pitch_mm = {scene.markers.pitch_mm:g} mm"
         )
+
+
+def _check_depth(scene: Scene, name: str, depth_mm: float) -> None:
+    gel, body = scene.gel, scene.object
+    if depth_mm >= body.height_mm and SHAPES[body.shape].made != "file":
+        raise SceneError(f"{name} = {depth_mm:g} mm: it must be less than object.height_mm = {body.height_mm:g} mm")
+    if body.rigid and depth_mm > 0.8 * gel.thickness_mm:
+        raise SceneError(
+            f"{name} = {depth_mm:g} mm: a rigid object may go at most 0.8 of gel.thickness_mm deep, {0.8 * gel.thickness_mm:g} mm"
+        )
+
+
+def _check_path(scene: Scene) -> None:
+    press = scene.press
+    named = "press.path" if press.path else "press.path_csv"
+    if press.path and press.path_csv is not None:
+        raise SceneError("press.path and press.path_csv are both given: give one")
+    for name in ("depth_mm", "force_n", "shear_mm", "twist_deg", "hold_s"):
+        value = getattr(press, name)
+        if value is not None and value != getattr(Press, name):
+            raise SceneError(f"press.{name} = {value}: {named} says the motion; give one of the two")
+    if press.path_csv is not None:
+        return
+    if press.frames <= len(press.path):
+        least = len(press.path) + 1
+        raise SceneError(
+            f"press.frames = {press.frames}: a path of {len(press.path)} waypoints records them all; allowed is {least} or more"
+        )
+    for index, point in enumerate(press.path):
+        with within(which(press.path, index, "waypoint")):
+            if point.depth_mm is not None and point.force_n is not None:
+                raise SceneError(f"press.path.depth_mm = {point.depth_mm:g} mm and press.path.force_n = {point.force_n:g} N: give one")
+            if point.depth_mm is not None:
+                _check_depth(scene, "press.path.depth_mm", point.depth_mm)
+
+
+def _begin_as_measured(press: Press) -> None:
+    """Offset and tilt of a measured path are those of its first row."""
+    assert press.path_csv is not None
+    _, x, y, _, about_x, about_y, _ = measured_path(press.path_csv)[0]
+    for name, measured in (("offset_mm", (x, y)), ("tilt_deg", (about_x, about_y))):
+        measured = tuple(float(number) for number in measured)
+        if getattr(press, name) not in (getattr(Press, name), measured):
+            raise SceneError(f"press.{name} = {getattr(press, name)}: press.path_csv begins at {measured}; leave it out")
+        object.__setattr__(press, name, measured)
 
 
 def _check_hardness(name: str, section: Gel | Body | Skin | Grains) -> None:
@@ -470,6 +565,12 @@ def _check_optics(scene: Scene) -> None:
     if shading and (shading % 3 or shading // 3 not in SHADING_DEGREES):
         allowed = ", ".join(str(3 * count) for count in SHADING_DEGREES)
         raise SceneError(f"camera.shading has {shading} numbers: red, green and blue of every term of a degree are {allowed}, or none")
+    smooth = len(scene.camera.rest_smooth)
+    if smooth not in (0, *REST_TERMS):
+        allowed = ", ".join(str(count) for count in REST_TERMS)
+        raise SceneError(f"camera.rest_smooth has {smooth} numbers: red, green and blue of every term of a degree are {allowed}, or none")
+    if smooth and scene.camera.rest is not None:
+        raise SceneError(f"camera.rest = {scene.camera.rest!r} and camera.rest_smooth exclude each other: give one of them")
     for index, light in enumerate(scene.lights.lights):
         with within(which(scene.lights.lights, index)):
             _check_light(light)

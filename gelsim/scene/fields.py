@@ -9,6 +9,7 @@ import dataclasses
 import difflib
 import functools
 import math
+import tomllib
 import types
 import typing
 
@@ -76,15 +77,20 @@ def convert(value: typing.Any, hint: typing.Any, name: str) -> typing.Any:
 
 
 def _item(items: typing.Sequence[typing.Any], index: int, hint: typing.Any, name: str) -> typing.Any:
-    with within(which(items, index)):
+    with within(which(items, index, whats(name))):
         return convert(items[index], hint, name)
 
 
-def which(lights: typing.Sequence[typing.Any], index: int) -> str:
-    """Which of the lights, tables or dataclasses, for messages: "light 2 of 4, 'green'"."""
-    light = lights[index]
-    name = light.get("name") if isinstance(light, dict) else getattr(light, "name", None)
-    return f"light {index + 1} of {len(lights)}" + (f", {name!r}" if isinstance(name, str) else "")
+def which(items: typing.Sequence[typing.Any], index: int, what: str = "light") -> str:
+    """Which of the lights or waypoints (`what`), tables or dataclasses, for messages: "light 2 of 4, 'green'"."""
+    item = items[index]
+    name = item.get("name") if isinstance(item, dict) else getattr(item, "name", None)
+    return f"{what} {index + 1} of {len(items)}" + (f", {name!r}" if isinstance(name, str) else "")
+
+
+def whats(name: str) -> str:
+    """What the tables in a field are called."""
+    return "waypoint" if name == "press.path" else "light"
 
 
 def known_key(key: str, section: type, name: str) -> bool:
@@ -103,3 +109,34 @@ def share(text: str, name: str) -> float:
         return convert(float(number) * (0.01 if percent else 1.0), float, name)
     except ValueError:
         raise SceneError(f'{name} = {text!r}: expected a share, such as 0.02 or "2%"') from None
+
+
+def parse_text(text: str | list[str], hint: typing.Any, name: str) -> typing.Any:
+    """What was typed as a value for a field of this type; `convert` checks it later. Several numbers for one are a list.
+
+    Numbers that do not parse stay text, so that the check can name them.
+    """
+    if typing.get_origin(hint) is tuple:
+        words = [text] if isinstance(text, str) else text
+        inner = typing.get_args(hint)[0]
+        if dataclasses.is_dataclass(inner):
+            try:
+                return tomllib.loads("value = " + " ".join(words))["value"]
+            except tomllib.TOMLDecodeError as error:
+                raise SceneError(f"{name}: expected a TOML list of tables ({error})") from None
+        if len(words) == 1:
+            words = words[0].replace(",", " ").split() if inner is float else words[0].replace(",", " ").replace("x", " ").split()
+        return [parse_text(word, inner, name) for word in words]
+    assert isinstance(text, str)
+    kinds = hint.__args__ if isinstance(hint, types.UnionType) else (hint,)
+    if bool in kinds and text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    if float in kinds and "," in text:
+        return [parse_text(word, float, name) for word in text.replace(",", " ").split()]
+    for kind in (int, float):
+        if kind in kinds:
+            try:
+                return kind(text)
+            except ValueError:
+                pass
+    return text

@@ -23,7 +23,7 @@ from gelsim.scene.fields import field_types, known_key, nearest
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
 """What a sensor preset may fill."""
 
-PATHS = ("object.mesh", "sensor.preset", "camera.rest")
+PATHS = ("object.mesh", "press.path_csv", "sensor.preset", "camera.rest", "markers.places")
 """Fields that name a file: relative to the file that they stand in."""
 
 Layer = dict[str, Any]
@@ -40,11 +40,16 @@ def preset_names() -> list[str]:
     return sorted(path.stem for path in (assets_folder() / "sensors").glob("*.toml"))
 
 
+def is_preset(sensor: str) -> bool:
+    """Whether that names a preset or a sensor file."""
+    return sensor in preset_names() or sensor.endswith(".toml")
+
+
 def load_scene(path: str | Path) -> Scene:
     """Read a scene file.
 
     Args:
-        path: A TOML file. Paths in it (object.mesh, sensor.preset, camera.rest) are relative to its folder.
+        path: A TOML file. Paths in it (`PATHS`) are relative to its folder.
     Raises:
         SceneError: No such file, not TOML, an unknown key, or a field out of range; MaterialError for a hardness out of range.
     """

@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 from gelsim.errors import SceneError, within
 from gelsim.scene import materials
-from gelsim.scene.fields import nearest, which
+from gelsim.scene.fields import nearest, whats, which
 from gelsim.scene.shape_table import SHAPES
 from gelsim.units import MESH_UNITS, unit_of
 
@@ -20,13 +20,15 @@ CHOICES: dict[str, Collection[str]] = {
     "object.law": materials.LAWS,
     "press.touch_at": ("apex", "centre"),
     "press.symmetry": ("auto", "axisymmetric", "plane-strain", "mirror", "none"),
-    "markers.layout": ("grid", "none"),
+    "markers.layout": ("grid", "random", "list", "none"),
     "camera.tone": ("srgb", "linear"),
     "render.mode": ("baked", "path", "direct", "auto"),
 }
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
 """Of files that object.mesh may name."""
+REST_TERMS = {3 * (degree + 1) * (degree + 2) // 2: degree for degree in range(4)}
+"""Numbers of camera.rest_smooth, and the degree that they are of."""
 SHADING_DEGREES = {degree * (degree + 3) // 2: degree for degree in range(1, 7)}
 """Terms of a polynomial over the picture without its constant -> its degree."""
 
@@ -82,6 +84,12 @@ LIMITS: dict[str, tuple[float, float]] = {
     "press.twist_deg": (-90, 90),
     "press.speed_mm_s": (1e-3, 1000),
     "press.hold_s": (0, 1e5),
+    "press.path.duration_s": (1e-3, 1e5),
+    "press.path.depth_mm": (-50, 50),
+    "press.path.force_n": (1e-3, 1000),
+    "press.path.shear_mm": (-50, 50),
+    "press.path.twist_deg": (-180, 180),
+    "press.path.tilt_deg": (-90, 90),
     "camera.resolution": (16, 4096),
     "camera.field_mm": (1, 100),
     "camera.distance_mm": (1, 1000),
@@ -96,6 +104,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "camera.full_well": (0, 1e7),
     "camera.read_noise": (0, 1),
     "camera.shading": (-10, 10),
+    "camera.rest_smooth": (-10, 10),
     "lights.window_thickness_mm": (0, 50),
     "lights.window_ior": (1, 3),
     "lights.gel_ior": (1, 3),
@@ -117,6 +126,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "markers.pitch_mm": (0.2, 50),
     "markers.radius_mm": (0.02, 10),
     "markers.tilt_deg": (-180, 180),
+    "markers.offset_mm": (-50, 50),
     "markers.jitter_mm": (0, 10),
     "markers.size_jitter": (0, 1),
     "markers.outline_jitter": (0, 1),
@@ -138,7 +148,7 @@ def check_limits(section: object, name: str = "") -> None:
             check_limits(value, full)
         elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
             for index, part in enumerate(value):
-                with within(which(value, index)):
+                with within(which(value, index, whats(full))):
                     check_limits(part, full)
         if full in CHOICES and value not in CHOICES[full]:
             hint = nearest(str(value), CHOICES[full])

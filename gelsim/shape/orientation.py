@@ -5,6 +5,7 @@ The tilt of a press is about the apex of what stands so (`gelsim.shape.shapes.ro
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -27,10 +28,15 @@ def about(axis: int, degrees: float) -> Array:
     return turn
 
 
+def turned(degrees: Sequence[float] | Array) -> Array:
+    """The turn about x, then y, then z, of three angles, (3, 3)."""
+    x, y, z = degrees
+    return about(2, z) @ about(1, y) @ about(0, x)
+
+
 def orientation(body: Body) -> Array:
     """From the frame of the shape or of the file to how it stands, (3, 3)."""
-    x, y, z = body.rotation_deg
-    return about(2, z) @ about(1, y) @ about(0, x) @ about(*_SIDES[body.press_side])
+    return turned(body.rotation_deg) @ about(*_SIDES[body.press_side])
 
 
 @lru_cache(maxsize=64)

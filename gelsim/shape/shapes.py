@@ -22,9 +22,10 @@ import numpy as np
 from gelsim.errors import SceneError
 from gelsim.geometry import AXES, FACE_EDGES, QuadraticSurface, TriMesh, edges_of, face_shape_functions, quadratic_faces
 from gelsim.scene.definition import Body, Gel, Scene
+from gelsim.scene.motion import motion, widest
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import file_stamp, read_part
-from gelsim.shape.orientation import about, is_reoriented, orientation
+from gelsim.shape.orientation import is_reoriented, orientation, turned
 from gelsim.shape.outlines import PLANES, Profile, bore, profile, sides, underside
 from gelsim.shape.solids import (
     HULL_STEP,
@@ -71,11 +72,11 @@ def press_symmetry(scene: Scene) -> frozenset[str]:
     press.symmetry = "none" forbids it. Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers
     do not count: they carry no forces.
     """
-    press = scene.press
-    if press.symmetry == "none" or press.twist_deg:
+    press, way = scene.press, widest(scene)
+    if press.symmetry == "none" or way.turns[2]:
         return frozenset()
-    keeps = {"x": not (press.tilt_deg[1] or press.offset_mm[0] or press.shear_mm[0])}
-    keeps["y"] = not (press.tilt_deg[0] or press.offset_mm[1] or press.shear_mm[1])
+    keeps = {"x": not (way.turns[1] or press.offset_mm[0] or way.sideways[0])}
+    keeps["y"] = not (way.turns[0] or press.offset_mm[1] or way.sideways[1])
     return frozenset(axis for axis in shape_symmetry(scene.object) if keeps[axis])
 
 
@@ -297,14 +298,15 @@ def rigid_surface(scene: Scene, symmetry: frozenset[str]) -> QuadraticSurface:
 
 def near_gel(scene: Scene, surface: TriMesh) -> TriMesh:
     """Those of an object's faces that may come within NEAR of the gel."""
-    press = scene.press
     turn, shift = placement(scene, quadratic_faces(surface.vertices, surface.faces))
     corners = (surface.vertices @ turn.T + shift)[surface.faces]
-    travel = np.array([*np.abs(press.shear_mm), 0.0]) * MM
-    half = np.array([*scene.gel.size_mm, 0.0]) * MM / 2 + travel
-    if press.twist_deg:
+    way = widest(scene)
+    half = np.array([*scene.gel.size_mm, 0.0]) * MM / 2 + np.array([*way.sideways, 0.0]) * MM
+    if way.turns[2] or way.rolls:
         half[:2] = np.hypot(*(half[:2] + np.abs(shift[:2])))
     high = half + [0.0, 0.0, furthest_approach(scene)] + NEAR
+    if way.rolls:  # what lies as far beside the apex comes down by as much at most
+        high[2] += half[0] * np.sin(np.ptp(way.turn[:, :2], axis=0).max() * DEG)
     kept = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= -half - NEAR)[:, :2].all(axis=1)
     used, faces = np.unique(surface.faces[kept], return_inverse=True)
     return TriMesh(surface.vertices[used], faces.reshape(-1, 3).astype(np.int32))
@@ -318,7 +320,7 @@ def _exact_surface(body: Body, depth: float, symmetry: frozenset[str], tilt_deg:
     whole = tilt_deg is not None or is_reoriented(body)
     lowered, apex = np.eye(3), np.zeros(3)
     if whole:
-        lowered = tilted(tilt_deg or (0.0, 0.0)) @ turn
+        lowered = turned((*(tilt_deg or (0.0, 0.0)), 0.0)) @ turn
         ends = object_surface(_upright(body), edge_length=np.inf).vertices
         apex = ends[(ends @ lowered[2]).argmin()]
 
@@ -399,14 +401,17 @@ def signed_distance(body: Body, points: Array) -> Array:
 
 # ---------------------------------------------------------------------------------------------------------------- gel and placement
 def press_depth(scene: Scene) -> float:
-    """The approach that meshes are made for [m]: the press depth, or 1 mm when only a force is given."""
-    return (1.0 if scene.press.depth_mm is None else scene.press.depth_mm) * MM
+    """The approach that meshes are made for [m]: the press depth, of a path its deepest, or 1 mm when only a force is given."""
+    return (widest(scene).deepest or 1.0) * MM
 
 
 def furthest_approach(scene: Scene) -> float:
-    """How far a press may go [m]: its depth, or where only a force ends it half of the gel plus a third of a soft object's height."""
+    """How far a press may go [m]: its depth, or where a force says how far half of the gel plus a third of a soft object's height."""
+    way = motion(scene.press)
     if scene.press.depth_mm is not None:
         return scene.press.depth_mm * MM
+    if way is not None and not way.by_force.any():
+        return way.deepest * MM
     return (0.5 * scene.gel.thickness_mm + (0.0 if scene.object.rigid else scene.object.height_mm / 3)) * MM
 
 
@@ -428,13 +433,8 @@ def gel_height(gel: Gel, xy: Array) -> Array:
 
 
 def rotation(scene: Scene) -> Array:
-    """The object's tilt, (3, 3): about x, then about y."""
-    return tilted(scene.press.tilt_deg)
-
-
-def tilted(tilt_deg: tuple[float, float]) -> Array:
-    """The turn about x, then about y, (3, 3)."""
-    return about(1, tilt_deg[1]) @ about(0, tilt_deg[0])
+    """How the object is turned at first touch, (3, 3): tilted about x, then about y; a measured path may begin turned about z too."""
+    return turned(widest(scene).turn[0])
 
 
 @lru_cache(maxsize=4)

@@ -15,20 +15,23 @@ from gelsim.geometry import FACE_EDGES, edges_of, enclosed_volume
 from gelsim.pipeline.outputs import plain_json, read_press
 from gelsim.results import Deformation
 from gelsim.scene.definition import Body, Scene
-from gelsim.scene.layers import load_scene
+from gelsim.scene.layers import build_scene, load_scene
 from gelsim.scene.limits import MESH_SUFFIXES
 from gelsim.shape.mesh_file import bodies_of, compare_bodies, read_part
 from gelsim.units import KPA, MM
 
+STANDING = ("mesh_unit", "mesh_scale", "press_side", "rotation_deg")
+"""Fields of an object that say how the part in a mesh file stands."""
 
-def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
+
+def inspect(path: Path, **standing: Any) -> dict[str, Any]:
     """The facts about a path, as plain values.
 
     Args:
         path: A result folder, a dataset, a press.npz, or an STL, OBJ, PLY, OFF or GLB file.
-        mesh_unit: What a mesh file's numbers are in.
+        standing: Of a mesh file: STANDING, as in a scene.
     Raises:
-        SceneError: It does not exist, or is none of these.
+        SceneError: It does not exist, is none of these, or does not stand so.
     """
     if _is_dataset(path):
         from gelsim.views.dataset_sheet import dataset_facts
@@ -45,7 +48,7 @@ def inspect(path: Path, mesh_unit: str = "mm") -> dict[str, Any]:
     elif path.suffix == ".npz":
         facts = {"kind": "press"} | _press_facts(read_press(path))
     elif path.suffix.lower() in MESH_SUFFIXES:
-        facts = {"kind": "mesh file"} | _mesh_facts(path, mesh_unit)
+        facts = {"kind": "mesh file"} | _mesh_facts(_part_of(path, standing))
     elif not path.exists():
         raise SceneError(f"{path}: there is no such file or folder")
     else:
@@ -84,8 +87,8 @@ def describe(facts: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
-    """Draws what lies at the path into a PNG file.
+def draw(path: Path, out: Path, **standing: Any) -> None:
+    """Draws what lies at the path into a PNG file; a mesh file from the gel's side too, with where it touches.
 
     Raises:
         SceneError: As for `inspect`.
@@ -99,7 +102,7 @@ def draw(path: Path, out: Path, mesh_unit: str = "mm") -> None:
         draw_dataset(out, load_dataset(path))
         return
     if path.suffix.lower() in MESH_SUFFIXES:
-        surface = read_part(Body(shape="mesh", mesh=str(path), mesh_unit=mesh_unit, rigid=True)).surface
+        surface = read_part(_part_of(path, standing)).surface
         sheet.draw_surface(out, surface.vertices, surface.faces.astype(np.int64), path.name)
         return
     folder = path if path.is_dir() else path.parent
@@ -137,6 +140,7 @@ def _press_facts(press: Deformation) -> dict[str, Any]:
     return {
         "status": press.status.value,
         "states": len(press.approach),
+        "time_s": press.time,
         "approach_mm": press.approach / MM,
         "normal_force_n": np.abs(press.force[:, 2]),
         "contact_area_mm2": press.contact_area / MM**2,
@@ -149,9 +153,13 @@ def _press_facts(press: Deformation) -> dict[str, Any]:
     }
 
 
-def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
-    """What a press would make of the file: as it is read for a rigid object, and whether a soft one can be made of it."""
-    rigid = Body(shape="mesh", mesh=str(path), mesh_unit=unit, rigid=True)
+def _part_of(path: Path, standing: dict[str, Any]) -> Body:
+    """The part in a mesh file as a rigid object."""
+    return build_scene({"object": {"shape": "mesh", "mesh": str(path), "rigid": True} | standing}).object
+
+
+def _mesh_facts(rigid: Body) -> dict[str, Any]:
+    """What a press would make of a file: as it is read for a rigid object, and whether a soft one can be made of it."""
     part = read_part(rigid)
     surface = part.surface
     try:
@@ -165,7 +173,7 @@ def _mesh_facts(path: Path, unit: str) -> dict[str, Any]:
     edges, _ = edges_of(surface.faces, FACE_EDGES)
     lengths = np.linalg.norm(np.diff(surface.vertices[edges], axis=1)[:, 0], axis=1)
     return {
-        "unit": unit,
+        "unit": rigid.mesh_unit,
         "vertices": len(surface.vertices),
         "triangles": part.done["file_faces"],
         "size_mm": np.ptp(surface.vertices, axis=0) / MM,

@@ -1,8 +1,8 @@
 """A press to look at and to take elsewhere: one HTML page that works offline, and surfaces by state for ParaView.
 
 The page (plotly, its script inside) shows gel and object in 3D with a slider over the recorded states, the tactile picture of the state
-where there is one, and force against approach. The series is one .vtu a body and state of six-node faces, with displacement and pressure,
-and a press.pvd that holds them by approach.
+where there is one, and force against approach (or time). The series is one .vtu a body and state of six-node faces, with
+displacement and pressure, and a press.pvd that holds them by the same.
 
 Left out: what happens inside the bodies; press.npz holds their surfaces only.
 """
@@ -36,7 +36,7 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
-    count = len(press.approach)
+    count, (name, along) = len(press.approach), press.along
     states = list(range(0, count, -(-count // MOST_STATES)))
     if states[-1] != count - 1:
         states.append(count - 1)
@@ -44,17 +44,17 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     figure = make_subplots(
         rows=2, cols=2, column_widths=[0.6, 0.4], horizontal_spacing=0.06, vertical_spacing=0.12,
         specs=[[{"type": "scene", "rowspan": 2}, {"type": "xy"}], [None, {"type": "xy"}]],
-        subplot_titles=("gel (coloured by height) and object", "tactile picture" if pictures else "", "force against approach"),
+        subplot_titles=("gel (coloured by height) and object", "tactile picture" if pictures else "", f"force against {name.split()[0]}"),
     )  # fmt: skip
-    approach, force = press.approach / MM, -press.force[:, 2]
+    force = -press.force[:, 2]
     # The colours' scale, of all states.
     lowest = float((press.gel.rest[:, 2] + press.gel.displacement[..., 2]).min() / MM)
     span = lowest, float(press.gel.rest[:, 2].max() / MM)
-    frames_of = {i: _moving(press, i, pictures, approach, force, span) for i in states}
+    frames_of = {i: _moving(press, i, pictures, along, force, span) for i in states}
     moving = frames_of[states[-1]]
     figure.add_trace(moving[0], row=1, col=1)
     figure.add_trace(moving[1], row=1, col=1)
-    figure.add_trace(go.Scatter(x=approach, y=force, mode="lines+markers", showlegend=False, marker={"size": 5}), row=2, col=2)
+    figure.add_trace(go.Scatter(x=along, y=force, mode="lines+markers", showlegend=False, marker={"size": 5}), row=2, col=2)
     figure.add_trace(moving[2], row=2, col=2)
     if pictures:
         figure.add_trace(moving[3], row=1, col=2)
@@ -63,7 +63,7 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     figure.frames = [go.Frame(data=data, traces=places, name=str(i)) for i, data in frames_of.items()]
     steps = [
         {
-            "label": f"{approach[i]:.2f}",
+            "label": f"{along[i]:.2f}",
             "method": "animate",
             "args": [[str(i)], {"mode": "immediate", "frame": {"duration": 0, "redraw": True}, "transition": {"duration": 0}}],
         }
@@ -72,11 +72,11 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     figure.update_layout(
         title=title,
         height=760,
-        sliders=[{"active": len(steps) - 1, "steps": steps, "currentvalue": {"prefix": "approach [mm]: "}}],
+        sliders=[{"active": len(steps) - 1, "steps": steps, "currentvalue": {"prefix": f"{name}: "}}],
         scene={"aspectmode": "data", "xaxis_title": "x [mm]", "yaxis_title": "y [mm]", "zaxis_title": "z [mm]"},
         margin={"l": 20, "r": 20, "t": 70, "b": 20},
     )
-    figure.update_xaxes(title_text="approach [mm]", row=2, col=2)
+    figure.update_xaxes(title_text=name, row=2, col=2)
     figure.update_yaxes(title_text="force [N]", row=2, col=2)
     figure.update_xaxes(visible=False, row=1, col=2)
     figure.update_yaxes(visible=False, row=1, col=2)
@@ -90,21 +90,21 @@ def write_series(folder: Path, press: Deformation) -> list[Path]:
 
     folder.mkdir(parents=True, exist_ok=True)
     written, lines = [], []
-    for state, approach in enumerate(press.approach):
+    for state, at in enumerate(press.along[1]):
         for part, (name, motion) in enumerate((("gel", press.gel), ("object", press.object))):
             moved = motion.displacement[state]
             data = {"displacement": moved} | ({"contact_pressure": press.contact_pressure[state]} if name == "gel" else {})
             path = folder / f"{name}_{state:04d}.vtu"
             meshio.Mesh(motion.rest + moved, [("triangle6", motion.faces6)], point_data=data).write(path)
             written.append(path)
-            lines.append(f'<DataSet timestep="{approach / MM:.9g}" part="{part}" name="{name}" file="{path.name}"/>')
+            lines.append(f'<DataSet timestep="{at:.9g}" part="{part}" name="{name}" file="{path.name}"/>')
     body = "\n".join(lines)
     with whole_file(folder / "press.pvd") as partial:
         partial.write_text(f'<VTKFile type="Collection" version="0.1"><Collection>\n{body}\n</Collection></VTKFile>\n', encoding="utf-8")
     return [*written, folder / "press.pvd"]
 
 
-def _moving(press: Deformation, state: int, pictures: Sequence[str], approach: Any, force: Any, span: tuple[float, float]) -> list[Any]:
+def _moving(press: Deformation, state: int, pictures: Sequence[str], along: Any, force: Any, span: tuple[float, float]) -> list[Any]:
     """What changes from state to state: both surfaces, the point on the curve, the picture."""
     import plotly.graph_objects as go
 
@@ -117,7 +117,7 @@ def _moving(press: Deformation, state: int, pictures: Sequence[str], approach: A
             customdata=pressure, hovertemplate="z %{z:.3f} mm, %{customdata:.2f} kPa<extra>gel</extra>", showscale=False,
         ),
         go.Mesh3d(**_corners(body, press.object.faces), color="#b0a090", opacity=0.45, hoverinfo="skip"),
-        go.Scatter(x=[approach[state]], y=[force[state]], mode="markers", marker={"size": 12, "color": "crimson"}, showlegend=False),
+        go.Scatter(x=[along[state]], y=[force[state]], mode="markers", marker={"size": 12, "color": "crimson"}, showlegend=False),
     ]  # fmt: skip
     if pictures:
         traces.append(go.Image(source=pictures[state], hoverinfo="skip"))

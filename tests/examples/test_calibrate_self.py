@@ -34,9 +34,9 @@ def test_a_known_sensor_is_found(repository: Path, tmp_path: Path, monkeypatch: 
     # Presses to a tenth of a pixel, and to 3 % of the depth.
     assert max(errors("png.x_mm").max(), errors("png.y_mm").max()) < 0.1 * pixel_mm
     assert errors("depth_mm", relative=True).max() < 0.03
-    # Pictures not fitted to: noise 1.5² and rounding 1/12, in the press's photograph and in the rest's, which few presses cannot average,
-    # make 4.7; the renderer's noise about 0.5; what the fit leaves, 0.2 to 1 (two runs).
-    assert report["scores"]["test"]["whole"]["mse"] < 7
+    # A picture not fitted to: noise 1.5² and rounding, twice 1/12, make 2.4; what the rest keeps of its noise, a median of two to six, 1.1;
+    # the renderer's noise about 0.5; that leaves 1 for the fit. With one no-contact photograph as the rest it was 6.1.
+    assert report["scores"]["test"]["whole"]["mse"] < 5
     assert report["scores"]["no_contact_as_test"]["whole"]["mse"] > 20
     # Standard deviations leave out errors that all photographs share, so a median of 0.7 is not reached; but they are of the right size.
     found = np.array([abs(got - wanted) / sd for _, wanted, got, sd, state in rows if state in ("determined", "train", "test")])

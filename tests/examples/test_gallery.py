@@ -74,6 +74,12 @@ def test_shear_markers(repository: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_slide_and_release(repository: Path, tmp_path: Path) -> None:
+    pressed, sticks, slips, slides, gone = quick(repository, "slide_and_release", tmp_path / "a.jpg").values()
+    assert pressed == 0.0 and 0.0 < sticks < slips < 1.0 and slides == 1.0 and gone == 0.0
+
+
+@pytest.mark.slow
 def test_sensors(repository: Path, tmp_path: Path) -> None:
     (force,) = quick(repository, "sensors", tmp_path / "a.jpg").values()
     assert force > 0

@@ -22,7 +22,9 @@ from gelsim.pipeline import stages
 from gelsim.scene.expectation import Expectation, Expected
 from gelsim.scene.layers import load_expectation, load_scene
 
-SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
+AT_REST = "slide_and_release"
+"""Ends where it began, which `tests/examples/test_gallery.py` looks at: its last state has no numbers."""
+SCENES = [path for path in sorted((Path(__file__).parents[2] / "scenes").glob("*.toml")) if path.stem != AT_REST]
 SHEARED = SCENES[0].with_name("press_punch_shear.toml")
 
 

@@ -43,6 +43,7 @@ def dented(scene: Scene, centre_mm: tuple[float, float], states: int = 1) -> Def
     motion = SurfaceMotion(rest, np.zeros((0, 3), np.int32), displacement, np.zeros((0, 6), np.int32))
     return Deformation(
         approach=none,
+        time=none,
         force=np.zeros((states, 3)),
         contact_area=none,
         contact_pressure=np.zeros((states, x.size)),

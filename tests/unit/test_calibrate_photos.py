@@ -78,7 +78,6 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,contact_radius_px\na.png,0\n", "contact_radius_px = 0 px: allowed is more than 0, up to 32 px"),
         ("presses.csv", "file,contact_radius_px\na.png,33\n", "contact_radius_px = 33 px: allowed is more than 0, up to 32 px"),
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
-        ("presses.csv", "file,split\na.png,test\n", "no press to fit to"),
         ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
         ("presses.csv", "file\na.png\na.png\n", "'a.png' comes twice"),
         ("presses.csv", "file\nc.png\n", "c.png: is not a picture"),
@@ -153,8 +152,8 @@ def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     sensor = Parameters(globals_, np.zeros((0, 7)), np.ones((1, 3)), 12.0, 32.0, (3.0, 1.5, 1.4))
     base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
     frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
-    none: Any = SimpleNamespace(deepest_mm=1.0)
-    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, none, frozen, "cpu")
+    none: Any = SimpleNamespace(deepest=lambda radii: np.ones(len(radii)))
+    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, photos.counted, none, frozen, "cpu")
     fitted = run.Fitted(sensor, np.zeros((1, 3)), 0.0, 1.0, 1.0, np.eye(sensor.vector.size), 1)
     places = np.zeros((1, 3))
     report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
@@ -180,7 +179,8 @@ def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
         fits.append(len(presses))
         return run.Fitted(sensor, presses, 0.0, 1.0, 1.0, np.eye(1), 1)
 
-    monkeypatch.setattr(run, "_seed", lambda *_: (sensor, np.zeros((8, 3))))
+    monkeypatch.setattr(run, "_seed", lambda *_: (sensor, np.zeros((8, 5))))
+    monkeypatch.setattr(run, "_rough", lambda *_: np.zeros((8, 5)))
     monkeypatch.setattr(run.beginning, "choose_lights", lambda *_: sensor)
     monkeypatch.setattr(run, "_fit", fitted)
     monkeypatch.setattr(run, "_without_needless_lights", lambda job, first, rough, *_: (first, rough))
@@ -191,3 +191,8 @@ def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
     _, _, states, judged = run._states(job, 0.1, lambda *_: None)
     assert [state.error for state in states] == [5.0, 3.0, 4.0] and min(states, key=lambda each: each.error) is states[1]
     assert judged.tolist() == [2, 6] and fits == [6, 6, 6] and not set(judged) & set(states[1].which)
+
+
+def test_a_start_does_not_lend_its_rest():
+    base = run._base("gelsight_mini")
+    assert not base.camera.has_rest and base.camera.tilt_deg == (0.0, 0.0) and base.gel.thickness_mm == 4.25

@@ -112,9 +112,9 @@ def test_steps_begin_short_and_double_while_they_are_easy(monkeypatch: pytest.Mo
     """Two states 0.6 mm apart: from 0.25 mm, and half of that where the first fails, twice as long after two steps, and what is left."""
     attempt, steps = quasistatic._March._attempt, []  # pyright: ignore[reportPrivateUsage]
 
-    def first_fails(march, here, new, seconds=0.0):  # type: ignore[no-untyped-def]
-        steps.append(round((new - here.approach) / MM, 6))
-        return len(steps) > fails and (yield from attempt(march, here, new, seconds))
+    def first_fails(march, here, new, approach):  # type: ignore[no-untyped-def]
+        steps.append(round((approach - here.approach) / MM, 6))
+        return len(steps) > fails and (yield from attempt(march, here, new, approach))
 
     monkeypatch.setattr(quasistatic._March, "_attempt", first_fails)  # pyright: ignore[reportPrivateUsage]
     scene = ball_scene(1.2, 3, radius_mm=5.0)
@@ -142,11 +142,11 @@ def test_a_press_says_what_it_ended_at(
     """A ball to 0.01 N, to more than it ever carries, and with no equilibrium to be found beyond 0.4 mm. All "converge"."""
     attempt = quasistatic._March._attempt  # pyright: ignore[reportPrivateUsage]
 
-    def ends(march, here, new, seconds=0.0):  # type: ignore[no-untyped-def]
-        if new / MM > farthest_mm + 1e-9:
+    def ends(march, here, new, approach):  # type: ignore[no-untyped-def]
+        if approach / MM > farthest_mm + 1e-9:
             march.status = SolveStatus.MAX_ITERATIONS
             return False
-        return (yield from attempt(march, here, new, seconds))
+        return (yield from attempt(march, here, new, approach))
 
     monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
     monkeypatch.setattr(quasistatic, "furthest_approach", lambda scene: 0.6 * MM)
@@ -194,9 +194,9 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
     expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     predict, solve, starts = quasistatic._March._predict, Newton.solve, []  # pyright: ignore[reportPrivateUsage]
 
-    def told(march, here, new, extrapolated):  # type: ignore[no-untyped-def]
+    def told(march, here, new, approach, extrapolated):  # type: ignore[no-untyped-def]
         starts.append(extrapolated)
-        predict(march, here, new, extrapolated)
+        return predict(march, here, new, approach, extrapolated)
 
     def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
         report = solve(newton, reach, tolerance, solving)
@@ -343,8 +343,8 @@ def test_a_step_that_jumps_to_another_branch_is_told(monkeypatch: pytest.MonkeyP
     assert not told()
     step = EnergyBalance.step
 
-    def loses(balance: EnergyBalance, approach: float) -> None:
-        step(balance, approach)
+    def loses(balance: EnergyBalance, time: float, approach: float) -> None:
+        step(balance, time, approach)
         balance.jump = max(balance.jump, (0.064, 0.5e-3))
 
     monkeypatch.setattr(EnergyBalance, "step", loses)

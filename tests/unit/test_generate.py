@@ -78,6 +78,14 @@ def test_relit_is_what_a_field_of_the_other_lights_would_be():
     np.testing.assert_allclose(relit(formula_field(before), before, half).veil, 0.5 * formula_field(before).veil, rtol=1e-6)
 
 
+def test_a_plan_that_presses_along_a_path_is_refused(tmp_path: Path):
+    (tmp_path / "path.csv").write_text("t_s,x_mm,y_mm,z_mm\n0,0,0,0\n1,0,0,-0.2\n")
+    plan = load_plan(TINY)
+    fields = {**plan.press_fields, "press.depth_mm": "none", "press.force_n": "none", "press.path_csv": str(tmp_path / "path.csv")}
+    with pytest.raises(SceneError, match=r"press.depth_mm = none: presses of a plan go to a depth"):
+        Catalogue(replace(plan, press_fields=fields), 0).press(0)
+
+
 @pytest.mark.parametrize("change", [{"camera": {"distance_mm": 41.0}}, {"coating": {"roughness": 0.2}}, {"gel": {"thickness_mm": 2.0}}])
 def test_what_needs_another_bake_is_refused(change: dict[str, Any]):
     before = Catalogue(load_plan(TINY), 0).sensor_scene(0)

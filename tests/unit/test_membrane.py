@@ -46,7 +46,7 @@ def pressed(scene: Scene, places: np.ndarray, faces6: np.ndarray, fields: list[n
     none, whole = np.zeros(states), np.zeros(states, np.int32)
     motion = SurfaceMotion(rest, np.zeros((0, 3), np.int32), np.array(fields), faces6)
     vectors, pressure = np.zeros((states, 3)), np.zeros((states, len(places)))
-    return Deformation(none, vectors, none, pressure, motion, motion, none, none, whole, whole, none, np.ones(states, bool))
+    return Deformation(none, none, vectors, none, pressure, motion, motion, none, none, whole, whole, none, np.ones(states, bool))
 
 
 @pytest.fixture

@@ -92,6 +92,10 @@ def test_inspect_says_of_a_file_what_a_press_says(tmp_path: Path) -> None:
         read_part(replace(rigid(tmp_path / "scan.ply"), rigid=False))
     assert facts["rigid"] == "ok" and facts["soft"] == str(caught.value)
     assert facts["open_edges"] == 320 and not facts["watertight"]
+    larger = inspect(tmp_path / "scan.ply", mesh_scale=2.0)
+    assert larger["size_mm"] == pytest.approx(2 * np.array(facts["size_mm"]))
+    with pytest.raises(SceneError, match="object.mesh_scale = 0: allowed"):
+        inspect(tmp_path / "scan.ply", mesh_scale=0.0)
     (tmp_path / "none.off").write_text("OFF\n0 0 0\n")
     with pytest.raises(SceneError, match="object.mesh"):
         inspect(tmp_path / "none.off")

@@ -285,9 +285,8 @@ def test_scene_dict_refuses_what_cannot_be_lit():
         scene_dict(Scene())
 
 
-@pytest.mark.parametrize("preset", ["fingertip2017", "gelsight_mini"])
-def test_presets_show_a_neutral_grey_without_contact(preset):
-    scene = build_scene({"sensor": {"preset": preset}, "render": {"resolution": [96, 72], "spp": 12}})
+def test_the_fingertip_shows_a_neutral_grey_without_contact():
+    scene = build_scene({"sensor": {"preset": "fingertip2017"}, "render": {"resolution": [96, 72], "spp": 12}})
     (frame,) = render_frames(scene, [rest_membrane(scene)], variant=variant.SCALAR)
     # Median over 24 x 18 pixels: markers cover a twentieth and do not count; the noise of 12 paths is far below a level there.
     centre = np.median(frame.image[27:45, 36:60], axis=(0, 1))
@@ -342,3 +341,47 @@ def test_odd_lights_that_light_the_gel_are_drawn():
         (((1.0, 0.0, -4.0), (0.0, 0.0, -1.0)), True),
     ):
         check_lights(Scene(lights=Lights((Light("lamp", *lamp),), window_reflection=reflected)))
+
+
+def test_markers_of_a_file_land_where_it_says(tmp_path):
+    scene = small_scene()
+    places = np.array([[-0.8, 0.5], [0.3, -0.6], [1.1, 0.9], [-0.2, 0.1]])
+    (tmp_path / "dots.csv").write_text("x_mm,y_mm\n" + "\n".join(f"{x},{y}" for x, y in places) + "\n")
+    plain = replace(scene.markers, layout="none")
+    marked = scene.replace(markers=replace(scene.markers, layout="list", places=str(tmp_path / "dots.csv"), jitter_mm=0.0))
+    pictures = [Renderer(s, choose_variant("cpu")).radiance(rest_membrane(s)) for s in (marked, scene.replace(markers=plain))]
+    expected = project(scene, np.column_stack([places, 0 * places[:, 0]]) * 1e-3)
+    # As above: 0.05 px. Planted: a place 0.1 px off.
+    assert len(centroid_errors(expected, *pictures)) == 4 and centroid_errors(expected, *pictures).max() < 0.05
+    assert centroid_errors(expected + [0.1, 0.0], *pictures).max() > 0.05
+
+
+def test_markers_by_lot_keep_their_distance_and_their_seed():
+    scene = Scene(markers=Markers(layout="random", pitch_mm=1.5, radius_mm=0.25, seed=3))
+    centres = marker_layout(scene).centres
+    apart = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1)) + np.eye(len(centres))
+    assert apart.min() >= 0.625e-3 - 1e-12 and 0.85 < len(centres) * 1.5**2 / 25**2 <= 1
+    assert np.array_equal(centres, marker_layout(scene).centres)
+    other = scene.replace(markers=replace(scene.markers, seed=4))
+    assert not np.array_equal(centres[:5], marker_layout(other).centres[:5])
+
+
+@pytest.mark.parametrize(
+    ("markers", "text", "message"),
+    [
+        ({"layout": "random", "pitch_mm": 0.6, "radius_mm": 0.29}, None, "find no room on the gel"),
+        ({"layout": "list"}, None, 'layout "list" needs a file'),
+        ({"layout": "grid", "places": "dots.csv"}, None, 'layout "list" needs a file, the others have none'),
+        ({"layout": "list", "places": "dots.csv"}, None, "markers.places 'dots.csv': cannot be read"),
+        ({"layout": "list", "places": "dots.csv"}, "x_mm,y\n1,2\n", "unknown column 'y'; known are x_mm, y_mm, radius_mm"),
+        ({"layout": "list", "places": "dots.csv"}, "x_mm,y_mm\n1,\n", "each line has a finite x_mm and y_mm"),
+        ({"layout": "list", "places": "dots.csv"}, "x_mm,y_mm\n1,right\n", "could not convert"),
+    ],
+)
+def test_bad_layouts_are_refused(tmp_path, monkeypatch, markers, text, message):
+    monkeypatch.chdir(tmp_path)
+    if text is not None:
+        (tmp_path / "dots.csv").write_text(text)
+    with pytest.raises(SceneError) as caught:
+        marker_layout(Scene(markers=Markers(**markers)))
+    assert message in str(caught.value)

@@ -160,3 +160,33 @@ def test_imaged_centroids_are_near_projections():
     rest = rest_membrane(scene)
     apart = imaged_centroids(scene, shift) - project(scene, shift(rest.marker_centres))
     assert np.nanmax(np.abs(apart)) < 0.2
+
+
+@pytest.mark.parametrize("mode", ["path", "baked"])
+def test_a_smooth_rest_is_its_numbers_with_the_markers_painted_on_it(mode):
+    numbers = np.zeros((6, 3))
+    numbers[:4] = np.log([0.5, 0.4, 0.6]), [0.2, -0.1, 0.0], [0.1, 0.1, -0.2], [-0.4, -0.4, -0.4]
+    numbers[5] = -0.3, -0.2, -0.4
+    plain = flat_scene(render=Render(mode, 4, SIZE), markers=Markers(layout="none"))
+    camera = replace(plain.camera, rest_smooth=tuple(numbers.ravel()), exposure=1e-6)
+    row, column = np.mgrid[:120, :160] + 0.5
+    u, v = column / 80 - 1, row / 60 - 1
+    wanted = 255 * np.exp(np.stack([np.ones_like(u), u, v, u**2, u * v, v**2], axis=-1) @ numbers)
+    (flat,) = drawn(plain.replace(camera=camera), rest_membrane(plain))
+    assert np.abs(flat.image - wanted).max() <= 1
+    # Planted: upside down.
+    assert np.abs(flat.image - wanted[::-1]).max() > 2
+    dotted = plain.replace(camera=camera, markers=Markers(pitch_mm=1.0, radius_mm=0.2, offset_mm=(0.3, -0.2)))
+    for membrane in (rest_membrane(dotted), dragged(dotted)):
+        (frame,) = drawn(dotted, membrane)
+        places = frame.marker_pixels[np.isfinite(frame.marker_pixels).all(axis=1)]
+        places = places[(np.abs(places - [80, 60]) < [70, 50]).all(axis=1)].astype(int)
+        # Within the dots, and half a pitch beside them.
+        assert frame.image[places[:, 1], places[:, 0]].max() < 70 < 0.6 * frame.image[places[:, 1] - 8, places[:, 0] - 8].min() + 40
+
+
+def test_a_smooth_rest_of_other_numbers_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="camera.rest_smooth has 7 numbers: .* are 3, 9, 18, 30, or none"):
+        Scene(camera=Camera(rest_smooth=(0.0,) * 7))
+    with pytest.raises(SceneError, match="exclude each other"):
+        Scene(camera=Camera(rest_smooth=(0.0,) * 3, rest="rest.png"))

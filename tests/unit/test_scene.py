@@ -26,7 +26,7 @@ def test_defaults_are_those_of_the_paper() -> None:
     assert (scene.camera.resolution, scene.camera.field_mm) == ((960, 720), (18.4, 13.8))
 
 
-@pytest.mark.parametrize("name", ["digit", "fingertip2017", "gelsight_mini", "taxim"])
+@pytest.mark.parametrize("name", ["digit", "fingertip2017", "gelsight_mini", "gelsight_mini_markers", "taxim"])
 def test_presets_load(name: str) -> None:
     assert name in preset_names()
     assert build_scene({"sensor": {"preset": name}}).lights.lights
@@ -187,7 +187,19 @@ BAD = {
     "shares without times": ("[gel]\nprony_g = [0.1]", "gel.prony_g has 1 values, prony_tau_s 0"),
     "shares of everything": ("[object]\nprony_g = [0.5, 0.5]\nprony_tau_s = [1, 2]", "object.prony_g sums to 1: it must stay below 1"),
     "share of nothing": ("[object]\nprony_g = [0]\nprony_tau_s = [1]", "object.prony_g = 0: a share must be positive"),
-    "hold without viscosity": ("[press]\nhold_s = 2", "press.hold_s = 2 s: nothing relaxes meanwhile"),
+    "path beside a depth": ("[press]\ndepth_mm = 0.5\npath = [{force_n = 1}]", "press.depth_mm = 0.5: press.path says the motion"),
+    "waypoint of depth and force": ("[press]\npath = [{force_n = 1, depth_mm = 1}]", "waypoint 1 of 1: press.path.depth_mm = 1 mm and"),
+    "waypoint too deep": (
+        "[object]\nrigid = true\n[press]\npath = [{depth_mm = 0.1}, {depth_mm = 2}]",
+        "waypoint 2 of 2: press.path.depth_mm = 2 mm: a",
+    ),
+    "more waypoints than frames": (
+        "[press]\nframes = 2\npath = [{depth_mm = 0.1}, {depth_mm = 0}]",
+        "press.frames = 2: a path of 2 waypoints",
+    ),
+    "unknown key of a waypoint": ("[press]\npath = [{depth = 0.1}]", "unknown key 'press.path.depth'; did you mean 'depth_mm'?"),
+    "several forces and a depth": ("[press]\ndepth_mm = 0.5\nforce_n = [1, 2]", "press.force_n = [1, 2]: several forces are a path"),
+    "no measured path": ('[press]\npath_csv = "none.csv"', "press.path_csv = "),
     "wall thicker than the tube": (
         '[object]\nshape = "tube"\nwall_mm = 6',
         "object.wall_mm = 6 mm: allowed for a tube of that",
@@ -212,6 +224,7 @@ def number_fields(kind: type, name: str = "") -> Iterator[tuple[str, Any]]:
     """Full name and type of every field of a scene that holds numbers."""
     for key, hint in field_types(kind).items():
         full = f"{name}.{key}" if name else key
+        hint = next((option for option in get_args(hint) if get_origin(option) is tuple), hint)  # of two numbers, or none
         inner = next(iter(get_args(hint)), None)
         if is_dataclass(hint) or is_dataclass(inner):
             yield from number_fields(hint if is_dataclass(hint) else inner, full)  # type: ignore[arg-type]
@@ -231,8 +244,8 @@ def test_numbers_that_are_none_are_refused_in_every_field(wrong: float) -> None:
         value: Any = [wrong] * len(get_args(hint)) if get_origin(hint) is tuple else wrong
         *sections, key = name.split(".")
         layer: Any = {key: value}
-        if sections == ["lights", "lights"]:
-            layer = {"lights": {"lights": [layer]}}
+        if sections in (["lights", "lights"], ["press", "path"]):
+            layer = {sections[0]: {sections[1]: [layer]}}
         else:
             for section in reversed(sections):
                 layer = {section: layer}

@@ -1,0 +1,165 @@
+"""Many presses of one scene: a table of poses, each a few fields of the scene, solved in one process that keeps what they share.
+
+Kept from pose to pose: the file of a mesh, the object's surface and its distance field, compiled kernels. A gel's mesh is made for where a
+pose touches, so that it and its factors are each pose's own.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gelsim.errors import GelsimError, SceneError, within
+from gelsim.pipeline import outputs, stages
+from gelsim.results import Deformation
+from gelsim.scene.definition import Body, Press, Scene
+from gelsim.scene.distributions import field_kind
+from gelsim.scene.fields import field_types, nearest, parse_text
+from gelsim.scene.layers import anchored, build_scene, nested, scene_table
+from gelsim.tables import read_csv, write_csv
+
+NAME = "name"
+"""Column that names a pose's folder; without it they are counted."""
+TABLE = "poses.csv"
+"""What each pose gave, in the folder of them all."""
+OWN_NAME = {name: f"{section}.{name}" for section, kind in (("object", Body), ("press", Press)) for name in field_types(kind)}
+"""Fields of [object] and [press] by their own name."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One row of a table."""
+
+    name: str
+    scene: Scene
+
+
+def read_poses(path: Path, scene: Scene) -> list[Pose]:
+    """The poses of a CSV file: columns are fields of the scene, cells as a flag has them ("1 2": two numbers); an empty one says nothing.
+
+    Raises:
+        SceneError: It cannot be read, names an unknown field or a name twice, or a row makes no scene; the message names the line.
+    """
+    header, rows = read_csv(path, f"--poses {path}")
+    if not rows:
+        raise SceneError(f"--poses {path}: holds no poses")
+    names = {column: _full_name(column, f"--poses {path}: column {column!r}") for column in header if column != NAME}
+    kinds = {name: field_kind(name, name) for name in names.values()}
+    poses: list[Pose] = []
+    for number, row in enumerate(rows):
+        said = {names[column]: text for column, text in row.items() if column in names and text}
+        with within(f"--poses {path}, line {number + 2}"):
+            layer = nested({name: parse_text(text, kinds[name], name) for name, text in said.items()})
+            name = row.get(NAME) or f"{number:04d}"
+            if Path(name).name != name or name in (".", "..", TABLE):
+                raise SceneError(f"{NAME} = {name!r}: allowed is the name of a folder")
+            poses.append(Pose(name, posed(scene, anchored(layer, path.resolve().parent))))
+    if twice := [pose.name for pose in poses if [other.name for other in poses].count(pose.name) > 1]:
+        raise SceneError(f"--poses {path}: two poses are called {twice[0]!r}")
+    return poses
+
+
+def posed(scene: Scene, layer: Mapping[str, Any]) -> Scene:
+    """A scene with some fields of its own, a nested table as a scene file has it."""
+    return build_scene(scene_table(scene), dict(layer))
+
+
+def press_many(
+    scene: Scene, poses: Sequence[Mapping[str, Any]], *, device: str = "auto", progress: stages.Progress | None = None
+) -> list[Deformation]:
+    """Solves a scene in many poses: on a CUDA device side by side where meshes are the same, else one after the other.
+
+    A press that fails says so in its `status`.
+
+    Args:
+        poses: Of each the fields that differ, by full name ("press.offset_mm"); those of [object] and [press] by their own name too.
+    Raises:
+        SceneError: A pose names an unknown field or makes no scene. SceneError, MeshingError: as `press`.
+    """
+    scenes = []
+    for number, pose in enumerate(poses):
+        with within(f"pose {number + 1} of {len(poses)}"):
+            scenes.append(posed(scene, nested({_full_name(name, repr(name)): value for name, value in pose.items()})))
+    from gelsim.fem import batch_device, quiet_warp
+
+    quiet_warp()
+    if batch_device(device) != "cpu":
+        return stages.press_batch(scenes, device=device, progress=progress)
+    found = []
+    for scene in scenes:
+        found.append(stages.press(scene, device="cpu", throw=False))
+        if progress is not None:
+            progress("poses", len(found), len(scenes))
+    return found
+
+
+def run_many(
+    poses: Sequence[Pose],
+    out: Path,
+    run: Callable[[Scene, Path], dict[str, Any]],
+    *,
+    drawn: bool = False,
+    force: bool = False,
+    resume: bool = False,
+    progress: stages.Progress | None = None,
+) -> dict[str, Any]:
+    """Runs poses one after the other, each into a folder of `out` with its name, and writes a table of what they gave.
+
+    Args:
+        run: Computes a scene into a folder and returns its report, as `stages.run`.
+        drawn: Whether it draws pictures.
+        force: Replaces results of poses. resume: Leaves out poses that were done, as their reports say.
+    Raises:
+        SceneError: `out` holds results and neither was given.
+    """
+    if out.exists() and any(out.iterdir()) and not (force or resume):
+        raise SceneError(f"--out {out}: the folder is not empty; give --force to replace results in it, --resume to go on, or another name")
+    rows, start, made, failed = [], time.perf_counter(), 0, []
+    for number, pose in enumerate(poses):
+        row: dict[str, Any] = {NAME: pose.name}
+        try:
+            report = _earlier(pose, out, drawn) if resume else None
+            if report is None:
+                report, made = run(pose.scene, out / pose.name), made + 1
+            final = report["final"]
+            row |= {name: final[name] for name in ("approach_mm", "normal_force_n", "contact_area_mm2")}
+            row |= {"status": report["status"], "seconds": report["seconds"]["total"], "warnings": len(report["warnings"])}
+        except GelsimError as error:  # one pose that cannot be is no reason to leave the others
+            row |= {"status": str(error)}
+            failed.append({"pose": pose.name, "message": str(error)})
+        rows.append(row)
+        write_csv(out / TABLE, rows) if out.is_dir() else None
+        if progress is not None:
+            progress("poses", number + 1, len(poses))
+    seconds = time.perf_counter() - start
+    return {
+        "out": str(out),
+        "poses": len(poses),
+        "failed": failed,
+        "seconds": round(seconds, 3),
+        "made": made,
+        "seconds_a_pose": round(seconds / made, 3) if made else None,
+    }
+
+
+def _earlier(pose: Pose, out: Path, drawn: bool) -> dict[str, Any] | None:
+    """The report of a pose that was done before, with pictures where they are `drawn`; None where it is to be done."""
+    try:
+        report = json.loads((out / pose.name / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    same = report.get("scene") == outputs.plain_json(scene_table(pose.scene)) and "error" not in report
+    return report if same and (not drawn or "video" in report) else None
+
+
+def _full_name(name: str, where: str) -> str:
+    full = name if "." in name else OWN_NAME.get(name, name)
+    if full not in OWN_NAME.values():
+        if "." not in full and full not in field_types(Scene):
+            raise SceneError(f"{where}: unknown field{nearest(name, [*OWN_NAME, *field_types(Scene)])}")
+        field_kind(full, where)
+    return full
