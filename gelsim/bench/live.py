@@ -8,7 +8,6 @@ own, which `error_estimate` of their report puts at some per cent of the force (
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from functools import lru_cache, partial
 
@@ -71,13 +70,6 @@ def scene_of(name: str) -> Scene:
     return build_scene(base, PRESSES[name])
 
 
-def walked(scene: Scene, approach: Array, *, sensor: LiveSensor | None = None, image: bool = False) -> Iterator[LiveFrame]:
-    """The live sensor's frames on the way of the scene's press, one for each approach [m]."""
-    sensor = sensor or LiveSensor(scene, image=image)
-    for pose in way(scene, approach):
-        yield sensor.step(pose, 1.0 / scene.camera.fps)
-
-
 def way(scene: Scene, approach: Array) -> list[Array]:
     """Poses of a press's object at approaches [m]; without twist."""
     from scipy.spatial.transform import Rotation
@@ -90,21 +82,21 @@ def way(scene: Scene, approach: Array) -> list[Array]:
 
 
 @lru_cache(maxsize=2)
-def _both(name: str) -> tuple[Deformation, LiveSensor, list[LiveFrame], list[Array], float]:
+def _both(name: str) -> tuple[Deformation, LiveSensor, list[LiveFrame], list[Array]]:
+    """The press, and the live sensor's frames and displacements of the gel's nodes on the same way."""
     scene = scene_of(name)
     press = stages.press(scene, throw=False)
     sensor = LiveSensor(scene, image=False)
     frames, moved = [], []
-    began = time.perf_counter()
-    for frame in walked(scene, press.approach, sensor=sensor):
-        frames.append(frame)
+    for pose in way(scene, press.approach):
+        frames.append(sensor.step(pose, 1.0 / scene.camera.fps))
         moved.append(sensor.displaced(press.gel.rest[:, :2]))
-    return press, sensor, frames, moved, time.perf_counter() - began
+    return press, sensor, frames, moved
 
 
 def compared(name: str, share: float) -> Row:
     """Errors of the live sensor at one depth."""
-    press, sensor, frames, moved, _ = _both(name)
+    press, sensor, frames, moved = _both(name)
     depth = share * THICKNESS_MM * MM
     state = int(np.argmin(np.abs(press.approach - depth)))
     if abs(press.approach[state] - depth) > 1e-6 * MM:

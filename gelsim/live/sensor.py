@@ -245,7 +245,7 @@ class _Drawer:
 
         variant = choose_variant(device)
         self._renderer = BakedRenderer(scene, bake.light_field(scene, variant), variant)
-        self._grid = Grid(scene.gel)
+        self._grid = Grid(scene.gel, gel_layer.CELL_MM * MM)  # a finer one would show the layer's cells as facets
 
     def draw(self, displaced: Callable[[Array], Array], markers: Array) -> NDArray[np.uint8]:
         return self._renderer.frames([self._grid.membrane(displaced(self._grid.places), markers)])[0][1]
