@@ -50,8 +50,8 @@ PRESSES: dict[str, Layer] = {
         "object": {**BALL, "radius_mm": 5.0},
         "press": {"offset_mm": [4.0, 3.0]},
     },
-    "cylinder R 5, 10 long": {"object": {"shape": "cylinder", "radius_mm": 5.0, "length_mm": 10.0, "height_mm": 10.0}},
     "box 6 × 8, rims": {"object": {"shape": "box", "width_mm": 6.0, "length_mm": 8.0, "height_mm": 8.0}},
+    "cylinder R 5, 10 long": {"object": {"shape": "cylinder", "radius_mm": 5.0, "length_mm": 10.0, "height_mm": 10.0}},
     "emboss 8 × 8, dots of 0.2": {"object": {"shape": "emboss", "width_mm": 8.0, "length_mm": 8.0, "height_mm": 6.0}},
     "hexagonal nut, a mesh file": {"object": {"shape": "mesh", "mesh": str(assets_folder() / "meshes" / "hex_nut.stl")}},
 }
