@@ -28,6 +28,8 @@ from gelsim.units import MM
 
 Array = NDArray[np.float64]
 
+BALL = "hemisphere"
+"""The shape whose dents are tabulated."""
 DEPTHS = 24
 """Solved depths; between them f is linear."""
 REACH = 14.0
@@ -186,7 +188,7 @@ def _solve(gel: Gel, ball_radius_mm: float, depths: Array, contact: Contact) -> 
     scene = Scene(
         gel=flat,
         contact=contact,
-        object=Body(shape="hemisphere", rigid=True, radius_mm=ball_radius_mm, height_mm=2 * ball_radius_mm + deepest),
+        object=Body(shape=BALL, rigid=True, radius_mm=ball_radius_mm, height_mm=2 * ball_radius_mm + deepest),
         press=Press(depth_mm=deepest, force_n=None, frames=DEPTHS + 1, symmetry="axisymmetric"),
     )
     press = stages.press(scene, throw=False)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.calibrate.dent import BALL
 from gelsim.calibrate.reading import SUFFIXES, Reader, check_corners
 from gelsim.errors import GelsimError, SceneError
 from gelsim.scene.definition import Body, Gel, Scene
@@ -76,7 +77,7 @@ class Photos:
     @property
     def balls_mm(self) -> Array:
         """Radius of each press's ball, NaN of another object, shape (P,)."""
-        return np.array([body.radius_mm if body.shape == "hemisphere" and body.rigid else math.nan for body in self.bodies])
+        return np.array([body.radius_mm if body.shape == BALL and body.rigid else math.nan for body in self.bodies])
 
     def only(self, which: NDArray[np.bool_]) -> Photos:
         """Those presses alone."""
@@ -261,13 +262,13 @@ def _rows(folder: Path, reader: Reader, settings: dict[str, Any], sides: dict[st
 def _body(given: dict[str, str], settings: dict[str, Any], folder: Path, where: str) -> Body:
     """What was pressed: the ball of photos.toml, changed by a row's cells; rigid unless they say otherwise or give a hardness."""
     fields = {key: from_folder(f"object.{key}", parse_text(text, field_types(Body)[key], key), folder) for key, text in given.items()}
-    ball = fields.get("shape", "hemisphere") == "hemisphere" and "mesh" not in fields
+    ball = fields.get("shape", BALL) == BALL and "mesh" not in fields
     if ball and "radius_mm" not in fields:
         if "ball_radius_mm" not in settings:
             raise SceneError(f"{where}: ball_radius_mm is missing: give it in photos.toml, or radius_mm of each press in presses.csv")
         fields["radius_mm"] = settings["ball_radius_mm"]
     if ball:
-        fields = {"shape": "hemisphere", "height_mm": 2 * fields["radius_mm"]} | fields
+        fields = {"shape": BALL, "height_mm": 2 * fields["radius_mm"]} | fields
     try:
         scene = build_scene({"object": {"rigid": True} | fields, "press": {"depth_mm": 0.1}})
     except GelsimError as error:

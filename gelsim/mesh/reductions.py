@@ -84,11 +84,11 @@ def _against(scene: Scene, kind: str) -> str:
     if way.turns[:2].any():
         return "the object is tilted"
     if way.sideways.any():
-        return f"the object goes sideways, by up to [{way.sideways[0]:g}, {way.sideways[1]:g}] mm"
+        return f"it goes sideways, press.shear_mm = [{way.sideways[0]:g}, {way.sideways[1]:g}] at most"
     if is_reoriented(body):
         return "object.press_side and object.rotation_deg turn the object"
     if way.turns[2]:
-        return "the object is twisted"
+        return f"press.twist_deg = {press.twist_deg:g} twists the object" if press.twist_deg else "press.path twists the object"
     if not body.rigid and (body.skin.thickness_mm or body.grains.count):
         return "the object has parts of several materials"
     if gel.prony_g or (body.prony_g and not body.rigid):
