@@ -54,6 +54,15 @@ def grid_of(scene: Scene, no_contact: Array) -> Markers | None:
     return replace(grid, radius_mm=min(radius, 0.45 * grid.pitch_mm), albedo=albedo)
 
 
+def with_grid(scene: Scene, no_contact: Array, warnings: list[str]) -> Scene:
+    """The scene with the markers of its picture (`grid_of`); where none is seen it stays as it is, and a warning says so."""
+    grid = grid_of(scene, no_contact)
+    if grid is None:
+        warnings.append(NO_GRID)
+        return scene
+    return scene.replace(markers=grid)
+
+
 def _dark(paint: Array) -> float:
     return float(np.percentile(paint, 10))
 

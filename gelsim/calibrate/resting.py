@@ -40,11 +40,7 @@ def at_rest(photos: Photos, folder: outputs.ResultFolder, out: Path, sensor: str
     preset = build_scene({"sensor": {"preset": sensor}, "markers": {"layout": "none"}})
     scene, warnings = _sized(_as_bright(preset, photos, device), photos), []
     if photos.markers:
-        grid = dots.grid_of(scene, photos.no_contact)
-        if grid is None:
-            warnings.append(dots.NO_GRID)
-        else:
-            scene = scene.replace(markers=grid)
+        scene = dots.with_grid(scene, photos.no_contact, warnings)
     report: dict[str, Any] = {"parameters": {}, "presses": [], "warnings": warnings, "out": str(out), "sensor": sensor}
     folder.write(rest_name(out), lambda path: save_levels(photos.no_contact, path))
     shown = _picture(scene.replace(camera=replace(scene.camera, rest=str(out.parent / rest_name(out)))), device)

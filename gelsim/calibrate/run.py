@@ -161,11 +161,7 @@ def calibrate(
 
         scene = _full_scene(job, fitted.parameters, full_rest)
         if photos.markers:
-            grid = dots.grid_of(scene, photos.no_contact)
-            if grid is None:
-                warnings.append(dots.NO_GRID)
-            else:
-                scene = scene.replace(markers=grid)
+            scene = dots.with_grid(scene, photos.no_contact, warnings)
         shown_rest, shown = _draw(job, scene, fitted.parameters, places, np.arange(len(places)), SCORE_SPP, show, "pictures")
         rows = _rows(test if len(test) else np.flatnonzero(~photos.test))
         before = _full_scene(job, first, full_rest)

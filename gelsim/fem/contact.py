@@ -257,16 +257,16 @@ class SurfaceContact:
         return [*pairing, self.shift, self.friction, self.stick]
 
     def add_force(self, x: wp.array, force: wp.array) -> None:
-        """Adds ∂φ/∂u of the contact and friction of the last `update` to `force`."""
+        """Adds what contact and friction of the last `update` ask of the nodes, against their forces on them, to `force`."""
         self._launch(contact_force, *self._normal_inputs(), self.pressure, force)
         if self.frictional:
             self._launch(friction_force, x, *self._friction_inputs(), self.traction, force)
 
     def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array, geometric: bool) -> bool:
-        """Adds the Hessian; False where the pattern lacks a pair (then build a new one from `node_pairs`).
+        """Adds the tangent's symmetric part; False where the pattern lacks a pair (then build a new one from `node_pairs`).
 
-        Without `geometric` only its positive part p' ∇g ∇gᵀ, and the secant of friction: far from equilibrium the pressures of a wrong
-        overlap would make the rest indefinite.
+        Without `geometric` only p' n nᵀ, and the secant of friction: far from equilibrium the pressures of a wrong overlap would make the
+        rest indefinite.
         """
         self.geometric.fill_(1.0 if geometric else 0.0)
         self.missing.zero_()
@@ -345,7 +345,7 @@ class SurfaceContact:
         return found
 
     def settle(self) -> None:
-        """Ends a load step: the multipliers take the tractions over, slip counts from the present closest points.
+        """Ends a load step: the multipliers take the tractions over, slip counts from the present places.
 
         Friction that linear functions cannot hold, over a sharp edge or where contact ends within a face, each point keeps.
         """
@@ -375,10 +375,6 @@ class SurfaceContact:
         tractions = self.pressure.numpy()[:, None]
         if self.frictional:
             tractions = np.concatenate([tractions, self.traction.numpy()], axis=1)
-        self._project(tractions)
-
-    def _project(self, tractions: Array) -> None:
-        """Sets λ, and λ_t where there is friction, to what is given at the quadrature points, (P, 1) or (P, 4), projected."""
         count = tractions.shape[1]
         moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, count), self._bary)
         at_vertices = np.zeros((len(self.vertices), 4))

@@ -226,7 +226,7 @@ class _March:
             self._arrive(self._state(0.0, self.way.approach[0] / MM_PER_M), 0.0)
             self.way = self.way.reached(0, self.way.approach[0], 0.0)
             self._keep(progress)
-        elif (yield from self._go_on(before)) is None:
+        elif not (yield from self._go_on(before)):
             return
         for leg in range(self.way.leg_after(self.time), len(self.way.time)):
             if not (yield from self._follow(leg, progress)):
@@ -299,8 +299,8 @@ class _March:
         round_it = np.deg2rad(np.abs(way.turn[leg] - way.turn[leg - 1]).max()) * min(gel.size_mm) / 2
         return max(down, sideways, round_it) / MM_PER_M / (way.time[leg] - way.time[leg - 1])
 
-    def _go_on(self, before: _March) -> Generator[Request, NewtonReport, _State | None]:
-        """The last equilibrium of a march by another discretisation as this one has it; None where that is not found."""
+    def _go_on(self, before: _March) -> Generator[Request, NewtonReport, bool]:
+        """Finds the last equilibrium of a march by another discretisation as this one has it, and whether it did."""
         problem, here = self.problem, before.here
         self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
         self.way, self._leg, self.stopped = before.way, before._leg, before.stopped
@@ -310,12 +310,12 @@ class _March:
         start = self._state(here.time, here.approach)
         self._arrive(start, before.normal_force)
         if not (yield from self._attempt(start, here.time, here.approach)):
-            return None
+            return False
         self._settle()
         self.recorder.problem = problem
         self.energy.go_on(problem)
         self._arrive(self._state(here.time, here.approach), -problem.contact_force()[2])
-        return self.here
+        return True
 
     def _arrive(self, state: _State, force: float) -> None:
         """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""

@@ -47,7 +47,6 @@ class Underside:
         low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
         step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
         self._field: DistanceField = sampled(exact_distance(body), low, high, step)
-        self._samples = self._field.samples
         self._corners = vertices
         self._turn: Array | None = None
 
@@ -97,8 +96,7 @@ class Underside:
         alive = np.arange(len(rays))
         close = 0.02
         for _ in range(200):
-            away = self._coarse(np.column_stack([rays[alive], z[alive]]) @ turn)
-            # A spline's coefficients are read as if they were values: less than the last looks mend.
+            away = self._field(np.column_stack([rays[alive], z[alive]]) @ turn, order=1)  # the last looks mend what that is off by
             going = away > close
             z[alive[going]] += np.maximum(away[going] - close / 2, close / 2)
             alive = alive[going & (z[alive] < top)]
@@ -113,10 +111,3 @@ class Underside:
         z[z >= top] = FAR_MM
         self._map, self._top = z.reshape(len(y), len(x)), top
         self._turn, self._first = turn.copy(), (x[0], y[0])
-
-    def _coarse(self, points: Array) -> Array:
-        """The distance read linearly; beyond the samples that of the nearest place."""
-        place = (points - self._field.origin) / self._field.spacing
-        inside = np.clip(place, 0.0, np.array(self._samples.shape) - 1.0)
-        found = map_coordinates(self._samples, inside.T, order=1, mode="nearest")
-        return found + self._field.spacing * np.linalg.norm(place - inside, axis=1)

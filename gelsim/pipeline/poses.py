@@ -132,7 +132,8 @@ def run_many(
             row |= {"status": str(error)}
             failed.append({"pose": pose.name, "message": str(error)})
         rows.append(row)
-        write_csv(out / TABLE, rows) if out.is_dir() else None
+        if out.is_dir():
+            write_csv(out / TABLE, rows)
         if progress is not None:
             progress("poses", number + 1, len(poses))
     seconds = time.perf_counter() - start
