@@ -16,9 +16,10 @@ a^α their duals:
     δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
 Friction is Coulomb's, in the same way: with e the tangential slip of a point since the last load step (against the place on the master
-that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. Assembled
-is the symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric. Far from equilibrium that is
-left out, and the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
+that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. A point
+that did not touch then slips only from where it does: while the master, moving by w in the step, closes the gap, it passes by
+(`begin_step`). Assembled is the symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric.
+Far from equilibrium that is left out, and the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
 
 A rigid object is no surface but a distance (`RigidContact`, field.py). Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""
@@ -86,6 +87,27 @@ class ContactState:
     """(V, 4), at the slave's face vertices."""
     kept: Array
     """(P, 3)."""
+    passed: Array
+    """(P, 3)."""
+    apart: Apart
+
+
+@dataclass(frozen=True)
+class Apart:
+    """Points that face the master without touching it, where a load step begins."""
+
+    points: NDArray[np.integer]
+    """(K,)."""
+    nodes: NDArray[np.int32]
+    """Of the master's faces that they face, and how much each moves the place there, (K, n)."""
+    shares: Array
+    line: Array
+    """Along which the gap is measured, towards the slave, (K, 3)."""
+    gap: Array
+    """[mm], (K,)."""
+
+
+NOWHERE = Apart(np.zeros(0, int), np.zeros((0, 6), np.int32), np.zeros((0, 6)), np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -159,7 +181,8 @@ class SurfaceContact:
         self.gap = wp.full(count, 1e9, dtype=wp.float64, device=device)
         self.pressure = wp.zeros(count, dtype=wp.float64, device=device)
         self.traction = wp.zeros(count, dtype=wp.vec3d, device=device)
-        self.stick = array(law.stick_stiffness / np.sqrt(face_area), wp.float64)
+        self._kt = np.repeat(law.stick_stiffness / np.sqrt(face_area), points)
+        self.stick = array(self._kt[::points], wp.float64)
         self.shift = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.anchor_place = wp.zeros(count, dtype=wp.vec3d, device=device)
@@ -182,6 +205,9 @@ class SurfaceContact:
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.kept = np.zeros((count, 3))
         """Traction on the slave [kPa] beyond the multipliers, of every point."""
+        self.passed = np.zeros((count, 3))
+        """What of every point's motion along the master since the step began was before they touched [mm]."""
+        self._apart = NOWHERE
         self.bend = wp.zeros(1, dtype=wp.mat33d, device=device)
         self.missing = wp.zeros(1, dtype=wp.int32, device=device)
         self._share()
@@ -339,10 +365,24 @@ class SurfaceContact:
         anchored = self.anchor_place.numpy()[held]
         place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.slave_faces[held // self.points]])
         touched = np.einsum("qn,qni->qi", self._master_shape(anchored), now[self.master_faces[anchor[held]]])
-        along = place - touched
+        along = place - touched - self.passed[held]
         found = np.zeros((len(anchor), 3))
         found[held] = along - (along * normal[held]).sum(axis=1, keepdims=True) * normal[held]
         return found
+
+    def begin_step(self, moves: Array) -> None:
+        """Foresees which points will touch in a load step, for which the nodes are expected to move by `moves` [mm] (N, 3).
+
+        For the share of the step in which the motion w towards each other closes the gap such a point passes along the master.
+        """
+        apart = self._apart
+        own = np.einsum("kn,kni->ki", self.shape_values[apart.points % self.points], moves[self.slave_faces[apart.points // self.points]])
+        w = np.einsum("kn,kni->ki", apart.shares, moves[apart.nodes]) - own
+        closing = (w * apart.line).sum(axis=1)
+        share = np.divide(apart.gap, closing, out=np.zeros(len(w)), where=closing > 0.0).clip(max=1.0)
+        self.passed = np.zeros_like(self.passed)
+        self.passed[apart.points] = share[:, None] * (closing[:, None] * apart.line - w)
+        self.set_multipliers(self.multipliers)
 
     def settle(self) -> None:
         """Ends a load step: the multipliers take the tractions over, slip counts from the present places.
@@ -354,8 +394,16 @@ class SurfaceContact:
             traction = self.traction.numpy()
             self.kept = traction - self._at_points(self.multipliers[:, 1:])
             self.shift.assign(-traction)
+            self.passed, self._apart = np.zeros_like(self.kept), self._facing()
         self.anchor_face.assign(self.face)
         self.anchor_place.assign(self.place)
+
+    def _facing(self) -> Apart:
+        """The points that face the master without touching it, by the last `update` and `add_force`."""
+        face, gap = self.face.numpy(), self.gap.numpy()
+        points = np.flatnonzero((face >= 0) & (gap > 0.0) & (self.pressure.numpy() <= 0.0))
+        shares = self._master_shape(self.place.numpy()[points])
+        return Apart(points, self.master_faces[face[points]], shares, self.normal.numpy()[points], gap[points])
 
     def set_multipliers(self, at_vertices: Array) -> None:
         """Sets λ and λ_t [kPa] at the slave's face vertices, (V, 4); negative pressure becomes 0."""
@@ -364,7 +412,7 @@ class SurfaceContact:
         at_points = self._at_points(self.multipliers)
         self.multiplier.assign(at_points[:, 0])
         if self.frictional:
-            self.shift.assign(-at_points[:, 1:] - self.kept)
+            self.shift.assign(-at_points[:, 1:] - self.kept - self._kt[:, None] * self.passed)
 
     def _at_points(self, at_vertices: Array) -> Array:
         """Linear functions over the slave's faces, (V, C), at the quadrature points, (P, C)."""
@@ -407,19 +455,19 @@ class SurfaceContact:
     def save(self) -> ContactState:
         """The present state, to return to when a step is halved."""
         places = {name: wp.clone(getattr(self, name)) for name in _PLACES}
-        return ContactState(**places, multipliers=self.multipliers, kept=self.kept)
+        return ContactState(**places, multipliers=self.multipliers, kept=self.kept, passed=self.passed, apart=self._apart)
 
     def restore(self, state: ContactState) -> None:
         for name in _PLACES:
             wp.copy(getattr(self, name), getattr(state, name))
-        self.kept = state.kept
+        self.kept, self.passed, self._apart = state.kept, state.passed, state.apart
         self.set_multipliers(state.multipliers)
 
     def forget(self) -> None:
         """No history, no multipliers, no pairs: as it was made."""
         self.anchor_face.fill_(-1)
         self.face.fill_(-1)
-        self.kept = np.zeros_like(self.kept)
+        self.kept, self.passed, self._apart = np.zeros_like(self.kept), np.zeros_like(self.kept), NOWHERE
         self.set_multipliers(np.zeros_like(self.multipliers))
 
     def inherit(self, before: SurfaceContact, x: wp.array, reach: float) -> None:

@@ -470,6 +470,7 @@ class _March:
             displacement[nodes] += self._motion(nodes, new, approach) - self._motion(nodes, here.time, here.approach)
         displacement[problem.driven] = driven
         problem.solids.set_state((displacement, pressure))
+        problem.contact.begin_step(displacement - here.fields[0])
         return travel
 
     def _motion(self, nodes: NDArray[np.integer], time: float, approach: float) -> Array:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_fixtures import MILLI, TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene
+from fem_fixtures import MILLI, TOLERANCE, Array, ball_press, ball_scene, cap_press, cap_scene, flat_gel, problem_of, rigid_body, solved
 
-from gelsim.fem.contact import rest_weights
+from gelsim.fem.contact import SurfaceContact, rest_weights
 from gelsim.fem.elements import triangle_quadrature
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.recording import _hats  # pyright: ignore[reportPrivateUsage]
@@ -147,12 +147,21 @@ def test_load_steps_do_not_matter_without_friction() -> None:
     assert few.force[-1] == pytest.approx(many.force[-1], rel=3e-3, abs=1e-12)
 
 
-def test_load_steps_matter_little_with_friction() -> None:
-    _, few = ball_press(ball_scene(0.4, 6, friction=0.5), 0.7, 2.1)
-    _, many = ball_press(ball_scene(0.4, 11, friction=0.5), 0.7, 2.1)
-    # slip is integrated by one backward step each: an error of first order in the step for the part of the force that friction makes (a few
-    # per cent of the whole on this ball)
-    assert few.force[-1] == pytest.approx(many.force[-1], rel=0.01, abs=1e-12)
+def test_load_steps_matter_little_with_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two steps for twenty: what touches on the way slips from where it touches (`begin_step`), not from where the step began."""
+
+    def pushed(frames: int) -> tuple[float, Array]:
+        scene, gel = ball_scene(0.4, frames, friction="stick"), flat_gel(0.7, 2.1)
+        _, press = solved(problem_of(scene, gel, rigid_body(scene, gel)))
+        return float(press.force[-1, 2]), press.gel.displacement[-1, :, :2]
+
+    (many, wide), (few, coarse) = pushed(21), pushed(3)
+    # how the gel moves before it is touched is known from the step before. Measured: 0.65 % and 1.5 µm; not foreseen, 6.1 % and 12 µm
+    assert few == pytest.approx(many, rel=0.01)
+    assert np.sqrt(((coarse - wide) ** 2).sum(axis=1).mean()) < 3e-6
+    monkeypatch.setattr(SurfaceContact, "begin_step", lambda *_: None)
+    dragged, far = pushed(3)
+    assert abs(dragged / many - 1) > 0.03 and np.sqrt(((far - wide) ** 2).sum(axis=1).mean()) > 6e-6
 
 
 def test_stiffer_gel_gives_less_way() -> None:
