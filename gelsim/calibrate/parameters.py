@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gelsim.calibrate import model
 from gelsim.calibrate.model import Shape
+from gelsim.errors import SceneError
 from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Scene
 
 Array = NDArray[np.float64]
@@ -219,17 +220,19 @@ def dome_of(gel: Gel, curvature: float) -> Gel:
     """That gel as a dome of a curvature [1/mm]; made thicker where its edge would vanish."""
     half = max(gel.size_mm) / 2
     if curvature * half < 1e-3:
-        return replace(gel, profile="flat")
+        return replace(gel, profile="flat", radius_mm=None)
     root = np.sqrt(1 - min(curvature * half, 0.99) ** 2)
     drop = float(curvature * half**2 / (1 + root))
     thickness = max(gel.thickness_mm, drop + 0.2)
-    return replace(gel, profile="dome", thickness_mm=thickness, edge_thickness_mm=thickness - drop)
+    return replace(gel, profile="dome", radius_mm=None, thickness_mm=thickness, edge_thickness_mm=thickness - drop)
 
 
 def curvature_of(gel: Gel) -> float:
     """1/R_d [1/mm] of a gel's dome, 0 of a flat one."""
-    drop, half = gel.thickness_mm - gel.edge_thickness_mm, max(gel.size_mm) / 2
-    return 0.0 if gel.profile == "flat" else 2 * drop / (half**2 + drop**2)
+    if gel.profile == "cylinder":
+        raise SceneError('gel.profile = "cylinder": calibration takes gels that are flat or of one curvature, "flat", "dome" or "sphere"')
+    drop, half = gel.thickness_mm - gel.edge_mm, gel.half_width_mm
+    return 2 * drop / (half**2 + drop**2)
 
 
 def empty_scene(gel: Gel, camera: Camera, lights: Lights) -> Scene:

@@ -166,8 +166,7 @@ def gel_facts(gel: Gel) -> dict[str, float | None]:
             shore = materials.shore_00_from_modulus(materials.youngs_modulus(replace(gel, modulus_scale=1.0)))
         except MaterialError:
             shore = None
-    edge = gel.edge_thickness_mm if gel.profile == "dome" else gel.thickness_mm
-    return {"thickness_mm": gel.thickness_mm, "edge_thickness_mm": edge, "shore_00": shore}
+    return {"thickness_mm": gel.thickness_mm, "edge_thickness_mm": gel.edge_mm, "shore_00": shore}
 
 
 def lit(row: Mapping[str, Any]) -> bool:

@@ -115,7 +115,7 @@ def field_key(scene: Scene) -> str:
     camera, gel = dataclasses.asdict(scene.camera), dataclasses.asdict(scene.gel)
     for later in AFTER_LIGHT:
         camera.pop(later, None)
-    shape = {name: gel[name] for name in ("profile", "size_mm", "thickness_mm", "edge_thickness_mm")}
+    shape = {name: gel[name] for name in ("profile", "size_mm", "thickness_mm", "edge_thickness_mm", "radius_mm") if gel[name] is not None}
     coating = dataclasses.asdict(scene.coating)
     for pattern in ("grain", "grain_size_mm"):
         coating.pop(pattern, None)

@@ -33,12 +33,14 @@ class Sensor:
 @dataclass(frozen=True)
 class Gel:
     profile: str = "dome"
-    """"dome" | "flat"."""
+    """"dome" | "flat" | "sphere" | "cylinder", whose axis lies along y."""
     size_mm: Vec2 = (25.0, 25.0)
     thickness_mm: float = 2.4
     """The maximum, at the centre; the inner face is bonded to the rigid window."""
     edge_thickness_mm: float = 1.0
     """Thickness at the middle of each edge (dome only)."""
+    radius_mm: float | None = None
+    """Of curvature of the outer face (sphere and cylinder only)."""
     shore_00: float | None = None
     """Hardness, 1 to 99. Exactly one of shore_00, shore_a, youngs_modulus_kpa; none means Shore 00-17."""
     shore_a: float | None = None
@@ -56,6 +58,20 @@ class Gel:
 
     def __post_init__(self) -> None:
         _default_hardness(self, 17.0)
+
+    @property
+    def half_width_mm(self) -> float:
+        """From the middle to where the thickness is `edge_mm`: to a short side, of a cylinder to one along its axis."""
+        return (self.size_mm[0] if self.profile == "cylinder" else max(self.size_mm)) / 2
+
+    @property
+    def edge_mm(self) -> float:
+        """Thickness at the middle of an edge, of a cylinder of those along its axis."""
+        if self.profile == "dome":
+            return self.edge_thickness_mm
+        if self.radius_mm is None:
+            return self.thickness_mm
+        return self.thickness_mm - self.radius_mm + math.sqrt(max(self.radius_mm**2 - self.half_width_mm**2, 0.0))
 
 
 @dataclass(frozen=True)
@@ -444,6 +460,24 @@ def _default_hardness(section: Gel | Body, shore_00: float) -> None:
         object.__setattr__(section, "shore_00", shore_00)
 
 
+def _check_curved(gel: Gel) -> None:
+    """A radius where there is one to be given, and a gel that reaches its border."""
+    curved = gel.profile in ("sphere", "cylinder")
+    if curved and gel.radius_mm is None:
+        raise SceneError(f'gel.radius_mm is missing: gel.profile = "{gel.profile}" needs the radius of its outer face [mm]')
+    if gel.radius_mm is None:
+        return
+    if not curved:
+        raise SceneError(f'gel.radius_mm = {gel.radius_mm:g} mm is for gel.profile = "sphere" or "cylinder", not "{gel.profile}"')
+    half, drop = gel.half_width_mm, gel.thickness_mm - LIMITS["gel.edge_thickness_mm"][0]
+    least = (half**2 + drop**2) / (2 * drop) if drop < half else half
+    if gel.radius_mm < least:
+        raise SceneError(
+            f"gel.radius_mm = {gel.radius_mm:g} mm: a {gel.profile} {2 * half:g} mm wide and {gel.thickness_mm:g} mm thick ends before its "
+            f"border; allowed: {least:.4g} mm or more (or a smaller gel.size_mm, a larger gel.thickness_mm)"
+        )
+
+
 def _check(scene: Scene) -> None:
     check_limits(scene)
     gel, body, press = scene.gel, scene.object, scene.press
@@ -460,6 +494,7 @@ def _check(scene: Scene) -> None:
             f"gel.edge_thickness_mm = {gel.edge_thickness_mm:g} mm: a dome is no thicker there than "
             f"gel.thickness_mm = {gel.thickness_mm:g} mm"
         )
+    _check_curved(gel)
     _check_object(body)
     try:
         materials.law_shape(body.law, body.law_constants)

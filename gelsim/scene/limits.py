@@ -13,7 +13,7 @@ from gelsim.units import MESH_UNITS, unit_of
 
 CHOICES: dict[str, Collection[str]] = {
     "fidelity": ("fast", "balanced", "reference"),
-    "gel.profile": ("dome", "flat"),
+    "gel.profile": ("dome", "flat", "sphere", "cylinder"),
     "object.shape": SHAPES.keys(),
     "object.mesh_unit": tuple(MESH_UNITS),
     "object.press_side": ("bottom", "top", "left", "right", "front", "back"),
@@ -40,6 +40,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "gel.size_mm": (5, 100),
     "gel.thickness_mm": (0.5, 20),
     "gel.edge_thickness_mm": (0.05, 20),
+    "gel.radius_mm": (1, 1e5),
     "gel.youngs_modulus_kpa": (1, 1e7),
     "gel.modulus_scale": (0.05, 20),
     "gel.poissons_ratio": (0, 0.49999),

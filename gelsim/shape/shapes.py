@@ -418,18 +418,18 @@ def furthest_approach(scene: Scene) -> float:
 def gel_height(gel: Gel, xy: Array) -> Array:
     """z [m] of the undeformed outer face at points (N, 2) [m].
 
-    Flat: 0. Dome: a spherical cap with its top at the origin that leaves `edge_thickness_mm` at the middle of each side of a square gel (of
-    a rectangle: of its short sides, which are farther from the centre). The corners of a square lie deeper on the sphere than the
-    middles of its sides, for the default dome even below the window: there the gel keeps a land of half the edge thickness.
+    Flat: 0. Dome and sphere: a spherical cap with its top at the origin that leaves `edge_mm` at the middle of each side of a square gel
+    (of a rectangle: of its short sides, which are farther from the centre). The corners of a square lie deeper on the sphere than the
+    middles of its sides, for the default dome even below the window: there the gel keeps a land of half the edge thickness. Cylinder:
+    likewise across its axis.
     """
-    if gel.profile == "flat" or gel.edge_thickness_mm == gel.thickness_mm:
+    if gel.edge_mm == gel.thickness_mm:
         return np.zeros(len(xy))
-    half = max(gel.size_mm) * MM / 2
-    drop = (gel.thickness_mm - gel.edge_thickness_mm) * MM
+    half, drop = gel.half_width_mm * MM, (gel.thickness_mm - gel.edge_mm) * MM
     radius = (half**2 + drop**2) / (2 * drop)
-    across = (xy**2).sum(axis=1)
-    sphere = np.sqrt(np.maximum(radius**2 - across, 0.0)) - radius
-    return np.maximum(sphere, (0.5 * gel.edge_thickness_mm - gel.thickness_mm) * MM)
+    across = xy[:, 0] ** 2 if gel.profile == "cylinder" else (xy**2).sum(axis=1)
+    cap = np.sqrt(np.maximum(radius**2 - across, 0.0)) - radius
+    return np.maximum(cap, (0.5 * gel.edge_mm - gel.thickness_mm) * MM)
 
 
 def rotation(scene: Scene) -> Array:

@@ -20,6 +20,7 @@ from gelsim.optics.scene_dict import path_count, scene_dict
 from gelsim.results import Membrane
 from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 from gelsim.scene.layers import build_scene
+from gelsim.shape.shapes import gel_height
 
 
 def small_scene() -> Scene:
@@ -343,14 +344,18 @@ def test_odd_lights_that_light_the_gel_are_drawn():
         check_lights(Scene(lights=Lights((Light("lamp", *lamp),), window_reflection=reflected)))
 
 
-def test_markers_of_a_file_land_where_it_says(tmp_path):
+@pytest.mark.parametrize(
+    "gel", [{}, {"profile": "cylinder", "radius_mm": 14.0, "thickness_mm": 4.0, "size_mm": (16.0, 20.0)}], ids=["flat", "cylinder"]
+)
+def test_markers_of_a_file_land_where_it_says(tmp_path, gel):
     scene = small_scene()
+    scene = scene.replace(gel=replace(scene.gel, **gel))
     places = np.array([[-0.8, 0.5], [0.3, -0.6], [1.1, 0.9], [-0.2, 0.1]])
     (tmp_path / "dots.csv").write_text("x_mm,y_mm\n" + "\n".join(f"{x},{y}" for x, y in places) + "\n")
     plain = replace(scene.markers, layout="none")
     marked = scene.replace(markers=replace(scene.markers, layout="list", places=str(tmp_path / "dots.csv"), jitter_mm=0.0))
     pictures = [Renderer(s, choose_variant("cpu")).radiance(rest_membrane(s)) for s in (marked, scene.replace(markers=plain))]
-    expected = project(scene, np.column_stack([places, 0 * places[:, 0]]) * 1e-3)
+    expected = project(scene, np.column_stack([places * 1e-3, gel_height(scene.gel, places * 1e-3)]))
     # As above: 0.05 px. Planted: a place 0.1 px off.
     assert len(centroid_errors(expected, *pictures)) == 4 and centroid_errors(expected, *pictures).max() < 0.05
     assert centroid_errors(expected + [0.1, 0.0], *pictures).max() > 0.05
