@@ -122,6 +122,23 @@ def _parser() -> Parser:
     predict.add_argument("--start", type=float, default=0.0, metavar="S", help="where in the video the press begins [s] (default: 0)")
     predict.add_argument("--seconds", type=float, metavar="S", help="how long it lasts [s] (default: to the end)")
     predict.add_argument(
+        "--crop",
+        nargs=4,
+        type=int,
+        metavar=("LEFT", "TOP", "WIDTH", "HEIGHT"),
+        help="what of the pictures is the gel [px] (default: all)",
+    )
+    predict.add_argument(
+        "--corners", nargs=8, type=float, metavar=("X", "Y", *["…"] * 6),
+        help="corners of a rectangle on the gel, clockwise from its top left [px]: the pictures are set upright by them",
+    )  # fmt: skip
+    predict.add_argument("--corners-mm", nargs=2, type=float, metavar=("WIDTH", "HEIGHT"), help="how large that rectangle is")
+    predict.add_argument(
+        "--mm-per-px", type=float, metavar="MM",
+        help="how large a pixel is on the gel: the press is shown to the network at the scale that it knows (default: the picture, or what "
+        "is cut out of it, is taken for 18.4 mm wide)",
+    )  # fmt: skip
+    predict.add_argument(
         "--sensor", metavar="NAME", help="whose gel it is: a sensor preset, or a sensor or scene file (default: what was recorded with it)"
     )
     for command in (train, evaluate):
@@ -202,13 +219,22 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _predict(options: argparse.Namespace) -> int:
-    from learn import predict
+    import numpy as np
 
+    from learn import predict
+    from learn.framing import Framing
+
+    framing = Framing(
+        crop=None if options.crop is None else tuple(options.crop),
+        corners=None if options.corners is None else np.reshape(options.corners, (4, 2)),
+        corners_mm=None if options.corners_mm is None else tuple(options.corners_mm),
+        mm_per_px=options.mm_per_px,
+    )
     models = predict.find_models(options.model or ["default"])
     answers = []
     for answer in predict.predict(
         models, options.videos, background=options.background, start=options.start, seconds=options.seconds, sensor=options.sensor,
-        device=options.device,
+        framing=framing, device=options.device,
     ):  # fmt: skip
         answers.append(answer)
         if not options.json:

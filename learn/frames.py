@@ -44,15 +44,25 @@ def fit_picture(image: NDArray[np.uint8], picture: tuple[int, int]) -> NDArray[n
         Levels times FIXED_POINT, shape (*picture, 3).
     """
     rows, columns = picture
-    if (image.shape[0] > image.shape[1]) != (rows > columns) and rows != columns:
-        image = np.rot90(image)
+    image = as_wide(image, picture)
     height, width = image.shape[:2]
     # The paper's network takes squares of pictures that are none: those are squeezed, not cut.
     if rows != columns:
         tall, wide = min(height, round(width * rows / columns)), min(width, round(height * columns / rows))
         top, left = (height - tall) // 2, (width - wide) // 2
         image = image[top : top + tall, left : left + wide]
-    down, across = _averaging(image.shape[0], rows), _averaging(image.shape[1], columns)
+    return averaged(image, picture)
+
+
+def as_wide(image: NDArray[np.uint8], picture: tuple[int, int]) -> NDArray[np.uint8]:
+    """An image (H, W, 3), turned by 90° where it is upright and the picture of so many rows and columns is not."""
+    rows, columns = picture
+    return np.rot90(image) if (image.shape[0] > image.shape[1]) != (rows > columns) and rows != columns else image
+
+
+def averaged(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint16]:
+    """An image (H, W, 3) averaged to so many rows and columns: levels times FIXED_POINT, shape (*size, 3)."""
+    down, across = _averaging(image.shape[0], size[0]), _averaging(image.shape[1], size[1])
     first = np.tensordot(down, image.astype(np.float32), axes=(1, 0))
     return np.rint(np.einsum("cw,rwk->rck", across, first, optimize=True) * FIXED_POINT).astype(np.uint16)
 

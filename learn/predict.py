@@ -16,7 +16,8 @@ from learn.config import LearnError
 from learn.data import HARDEST, Gel, choose, gel_of
 from learn.ensemble import Ensemble
 from learn.estimate import pick_device
-from learn.video import Source, sources
+from learn.framing import Framing
+from learn.video import AS_IT_IS, Source, sources
 
 SHIPPED = {"default": ("paper2017", "varied")}
 """Names that stand for several of the checkpoints in assets/models/, which read together."""
@@ -72,12 +73,14 @@ def predict(
     start: float = 0.0,
     seconds: float | None = None,
     sensor: str | None = None,
+    framing: Framing = AS_IT_IS,
     device: str = "auto",
 ) -> Iterator[dict[str, Any]]:
     """One answer a press, as they come.
 
     Args:
         models: Checkpoints; of several the readings are one (`learn.ensemble`).
+        framing: What of the pictures of videos and folders is the gel, and their scale.
         sensor: Whose gel it is (`gel_of_sensor`); None: what a press itself says of it, if anything.
     Yields:
         source, status ("ok", "no contact" or "unreadable"), note; when ok also shore_00, spread (None: the network knows none), frames,
@@ -91,7 +94,7 @@ def predict(
     if gel is not None and not ensemble.asks_gel:
         raise LearnError(f"--sensor {sensor}: {models[0].name} takes no gel; leave it out")
     for video in videos:
-        for name, read in _listed(video, inputs, background, start, seconds):
+        for name, read in _listed(video, inputs, background, start, seconds, framing):
             try:
                 source = read()
             except GelsimError as error:

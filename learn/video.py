@@ -22,7 +22,8 @@ from gelsim.errors import GelsimError
 from gelsim.scene.layers import load_scene
 from learn.config import InputConfig, LearnError
 from learn.data import UNKNOWN_GEL, Gel, gel_of
-from learn.frames import change_signal, fit_picture, levels_of
+from learn.frames import as_wide, averaged, change_signal, fit_picture, levels_of
+from learn.framing import Framing, at_scale, contact_centre
 from learn.recordings import Recording, record_episode, with_noise
 
 MOST_SECONDS, MOST_FRAMES, MOST_PIXELS = 60.0, 1800, 2**25
@@ -34,6 +35,9 @@ FEWEST_FRAMES = 2
 BLACK_LEVELS = 3.0
 """A picture darker than this on average shows no membrane [levels of 255]."""
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+AS_IT_IS = Framing()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +53,19 @@ class Source:
 
 
 def sources(
-    path: Path, inputs: InputConfig, background: Path | None = None, start: float = 0.0, seconds: float | None = None
+    path: Path,
+    inputs: InputConfig,
+    background: Path | None = None,
+    start: float = 0.0,
+    seconds: float | None = None,
+    framing: Framing = AS_IT_IS,
 ) -> Iterator[tuple[str, Callable[[], Source]]]:
     """The presses of a path: the name of each, and what reads it, so that one that cannot be read does not end the others.
 
     Args:
         background: A picture of the sensor that touches nothing; default: the first frame (episodes bring their own).
         start, seconds: The part of a video that is the press [s].
+        framing: What of a video's or a folder's pictures is the gel, and their scale; episodes know theirs.
     Raises:
         LearnError, DatasetError: It cannot be read, is too long, too short or black; by the readers too.
     """
@@ -66,9 +76,9 @@ def sources(
     elif path.suffix == ".tar":
         yield str(path), partial(_episode, path, str(path), inputs)
     elif path.is_dir():
-        yield str(path), lambda: _recorded(path, _folder(path), inputs, background)
+        yield str(path), lambda: _recorded(path, lambda: _folder(path), inputs, background, framing)
     elif path.is_file():
-        yield str(path), lambda: _recorded(path, _video(path, start, seconds), inputs, background)
+        yield str(path), lambda: _recorded(path, lambda: _video(path, start, seconds), inputs, background, framing)
     else:
         raise LearnError(f"{path}: no such file or folder")
 
@@ -79,13 +89,37 @@ def _episode(path: Path, name: str, inputs: InputConfig) -> Source:
     return _checked(Source(name, recording, episode.row["shore_00"], gel_of(episode.row.get("gel"))))
 
 
-def _recorded(path: Path, frames: Iterator[NDArray[np.uint8]], inputs: InputConfig, background: Path | None) -> Source:
+Frames = Callable[[], Iterator[NDArray[np.uint8]]]
+
+
+def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path | None, framing: Framing) -> Source:
+    picture, scale = inputs.picture, framing.scale
+    if scale is None:
+        recording = _seen(path, frames, inputs, background, framing, lambda kept: fit_picture(kept, picture))
+    else:  # where the contact is, is known once all has been read: it is read again
+        whole = _seen(path, frames, inputs, background, framing, lambda kept: averaged(as_wide(kept, picture), picture))
+        centre = contact_centre(whole.pictures, whole.background, whole.signal, inputs.deadband_levels)
+        recording = _seen(path, frames, inputs, background, framing, lambda kept: at_scale(kept, picture, scale, centre))
+    return _checked(Source(str(path), recording, gel=_gel_beside(path)))
+
+
+def _seen(
+    path: Path,
+    frames: Frames,
+    inputs: InputConfig,
+    background: Path | None,
+    framing: Framing,
+    view: Callable[[NDArray[np.uint8]], NDArray[np.uint16]],
+) -> Recording:
+    """The press by one view of what is kept of its frames."""
     pictures = []
-    with contextlib.closing(frames):  # type: ignore[type-var]
-        for frame in frames:
+    with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
+        for frame in opened:
             if len(pictures) == MOST_FRAMES:
                 raise LearnError(f"{path}: more than {MOST_FRAMES} frames; a press lasts seconds: cut it, or give --start and --seconds")
-            pictures.append(fit_picture(frame, inputs.picture))
+            kept = framing.kept(frame, str(path))
+            framing.check_field(kept, str(path))
+            pictures.append(view(kept))
     if len(pictures) + (background is not None) < FEWEST_FRAMES or not pictures:
         what = "1 frame" if len(pictures) == 1 else f"{len(pictures)} frames"
         raise LearnError(f"{path}: {what}; a press takes at least {FEWEST_FRAMES}: the sensor untouched, then pressed")
@@ -93,9 +127,8 @@ def _recorded(path: Path, frames: Iterator[NDArray[np.uint8]], inputs: InputConf
     if background is None:
         empty = levels[0]
     else:
-        empty = levels_of(fit_picture(_picture(background), inputs.picture))
-    recording = Recording(empty, levels, change_signal(levels, empty, inputs.deadband_levels))
-    return _checked(Source(str(path), recording, gel=_gel_beside(path)))
+        empty = levels_of(view(framing.kept(_picture(background), str(background))))
+    return Recording(empty, levels, change_signal(levels, empty, inputs.deadband_levels))
 
 
 def _gel_beside(path: Path) -> Gel:

@@ -45,7 +45,7 @@ class Reader:
     @property
     def mm_per_px(self) -> float | None:
         """Of the picture that is set upright by corners whose size is known."""
-        return self.corners_mm[0] / self._upright[0] if self.corners_mm else None
+        return self.corners_mm[0] / self.upright[0] if self.corners_mm else None
 
     def levels(self, name: str) -> Array:
         """Levels 0 … 255 on the sRGB scale, shape (H, W, 3).
@@ -65,7 +65,7 @@ class Reader:
     def place(self, point: Array) -> Array:
         """(column, row) of the photograph [px] as (column, row) of the picture that is worked with, shape (2,)."""
         if self.corners is not None:
-            moved = np.linalg.inv(self._homography) @ [*point, 1.0]
+            moved = np.linalg.inv(self.homography) @ [*point, 1.0]
             return moved[:2] / moved[2]
         return point - self.crop[:2] if self.crop else point
 
@@ -164,7 +164,7 @@ class Reader:
         return levels
 
     @property
-    def _upright(self) -> tuple[int, int]:
+    def upright(self) -> tuple[int, int]:
         """Width and height of the rectangle [px]: as many pixels as the longer of its sides has in the photograph."""
         assert self.corners is not None
         sides = np.hypot(*(np.roll(self.corners, -1, axis=0) - self.corners).T)
@@ -175,10 +175,10 @@ class Reader:
         return int(round(wide)), int(round(high))
 
     @property
-    def _homography(self) -> Array:
+    def homography(self) -> Array:
         """From the upright picture to the photograph, (3, 3)."""
         assert self.corners is not None
-        wide, high = self._upright
+        wide, high = self.upright
         rows, wanted = [], []
         for (x, y), (u, v) in zip([(0, 0), (wide, 0), (wide, high), (0, high)], self.corners, strict=True):
             rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
@@ -188,9 +188,9 @@ class Reader:
     def _set_upright(self, levels: Array) -> Array:
         from scipy.ndimage import map_coordinates
 
-        wide, high = self._upright
+        wide, high = self.upright
         row, column = np.mgrid[:high, :wide] + 0.5
-        x, y, w = np.einsum("ij,jhw->ihw", self._homography, np.stack([column, row, np.ones_like(row)]))
+        x, y, w = np.einsum("ij,jhw->ihw", self.homography, np.stack([column, row, np.ones_like(row)]))
         at = np.stack([y / w - 0.5, x / w - 0.5])
         return np.stack([np.clip(map_coordinates(levels[..., c], at, order=3, mode="nearest"), 0, 255) for c in range(3)], axis=-1)
 

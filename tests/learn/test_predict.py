@@ -19,10 +19,12 @@ from gelsim.data.episodes import load_dataset
 from gelsim.scene.definition import Gel, Scene
 from gelsim.scene.layers import dump_scene
 from learn import cli
-from learn.config import LearnError
+from learn.config import InputConfig, LearnError
+from learn.frames import averaged
+from learn.framing import FIELD_MM, Framing, at_scale, contact_centre
 from learn.novelty import fit_novelty
 from learn.predict import gel_of_sensor, in_words, predict
-from learn.video import MOST_SECONDS
+from learn.video import AS_IT_IS, MOST_SECONDS, sources
 
 
 def film(path: Path, frames: np.ndarray, fps: float = 30) -> Path:
@@ -272,3 +274,68 @@ def test_exit_codes_of_predict(tiny_run: Path, press: np.ndarray, tmp_path: Path
 
 def test_the_fake_press_is_as_large_as_its_dataset(rng: np.random.Generator) -> None:
     assert fake_press(30.0, 5.0, 1.0, 3, rng, fake_row(0, "a")).frames.shape == (3, ROWS, COLUMNS, 3)
+
+
+def seen(folder: Path, frames: np.ndarray, framing: Framing = AS_IT_IS) -> np.ndarray:
+    """What the network gets to see of a press."""
+    folder.mkdir()
+    for number, frame in enumerate(frames):
+        Image.fromarray(frame).save(folder / f"{number:04d}.png")
+    ((_, read),) = sources(folder, InputConfig(picture=(18, 24)), framing=framing)
+    return read().recording.pictures
+
+
+def test_a_press_is_seen_alike_however_it_is_framed(press: np.ndarray, tmp_path: Path) -> None:
+    high, wide = press.shape[1:3]
+    whole = seen(tmp_path / "whole", press)
+    bordered = np.pad(press, ((0, 0), (9, 21), (30, 10), (0, 0)))
+    assert (seen(tmp_path / "border", bordered, Framing(crop=(30, 9, wide, high))) == whole).all()
+    corners = np.array([[30, 9], [30 + wide, 9], [30 + wide, 9 + high], [30, 9 + high]], float)
+    assert np.abs(seen(tmp_path / "corners", bordered, Framing(corners=corners)) - whole).max() < 1.0
+    # every pixel doubled is half as large: averaged to the network's size nothing is left of it
+    doubled, scale = press.repeat(2, axis=1).repeat(2, axis=2), FIELD_MM[0] / wide
+    assert np.abs(seen(tmp_path / "doubled", doubled, Framing(mm_per_px=scale / 2)) - whole).max() < 0.02
+    # planted: corners half a pixel of the network's off, a scale that is a tenth too large
+    assert np.abs(seen(tmp_path / "aside", bordered, Framing(corners=corners + [1.0, 0.0])) - whole).max() > 3.0
+    assert np.abs(seen(tmp_path / "wrong", press, Framing(mm_per_px=1.1 * scale)) - whole).max() > 3.0
+
+
+def test_the_contact_is_cut_out_at_its_scale() -> None:
+    """A white square of 2 mm, off the middle of a picture of 60 x 45 mm: in the network's picture it is 2 mm, and in the middle."""
+    scale, picture = 0.1, (96, 128)
+    empty, pressed = np.zeros((450, 600, 3), np.uint8), np.zeros((450, 600, 3), np.uint8)
+    pressed[100:120, 400:420] = 255
+    small = np.stack([averaged(frame, picture) for frame in (empty, pressed)]).astype(np.float32) / 256
+    centre = contact_centre(small, small[0], np.array([0.0, 1.0]), 3.0)
+    assert centre == pytest.approx((410 / 600, 110 / 450), abs=2e-3)
+    seen = at_scale(pressed, picture, scale, centre)[..., 0] / 256
+    assert seen.shape == picture and seen.sum() / 255 == pytest.approx((2.0 * picture[1] / FIELD_MM[0]) ** 2, rel=0.03)
+    rows, columns = (float((np.arange(len(part)) * part).sum() / part.sum()) for part in (seen.sum(axis=1), seen.sum(axis=0)))
+    assert (rows, columns) == pytest.approx((47.5, 63.5), abs=1.0)
+    # a picture smaller than the network's field stands in its middle, its border around it
+    assert (at_scale(np.full((60, 80, 3), 9, np.uint8), picture, scale, (0.5, 0.5)) == 9 * 256).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--crop", "0", "0", "10", "10", "--corners", *"0 0 9 0 9 9 0 9".split()], "exclude each other"),
+        (["--crop", "-1", "0", "10", "10"], "--crop -1 0 10 10: left and top are 0 px or more"),
+        (["--mm-per-px", "5"], "--mm-per-px 5: allowed is 0.001 … 1"),
+        (["--corners-mm", "10", "8"], "--corners-mm is the size of the rectangle of --corners"),
+        (["--corners", *"0 0 0 90 90 90 90 0".split()], "run the other way round"),
+    ],
+)
+def test_a_framing_that_is_none(options: list[str], message: str, tiny_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["predict", "--model", str(tiny_run / "model.pt"), *options, "x.mp4"]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_framing_beyond_the_frames(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    video, (high, wide) = film(tmp_path / "press.mkv", press), press.shape[1:3]
+    for framing, message in (
+        (Framing(crop=(10, 10, wide, high)), f"reaches beyond {video}, which is {wide} x {high} px"),
+        (Framing(mm_per_px=0.001), "allowed is 4 … 200 mm a side"),
+    ):
+        (answer,) = ask(tiny_run, video, framing=framing)
+        assert answer["status"] == "unreadable" and message in answer["note"]

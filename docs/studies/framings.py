@@ -1,0 +1,95 @@
+"""Is a press read alike however its video is framed? Real videos as they are, and the same in a border, oblique, halved, cut.
+
+    python docs/studies/framings.py FOLDER --mm-per-px 0.058 [--sensor gelsight_mini] [--videos 24]
+
+Each framing is read as it comes, and told of: by crop, corners and scale. Prints how far the readings lie from those as it is.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+
+from learn.framing import Framing
+from learn.predict import find_models, predict
+from learn.video import _video  # pyright: ignore[reportPrivateUsage]
+
+EVERY = 3  # frames: as much as the network chooses from, in a third of the time
+BORDER = (60, 80), (100, 40)  # above and below, left and right [px]
+OBLIQUE = ((60, 40), (400, 70), (380, 330), (90, 310))  # corners of the picture in one of 480 x 380 px
+
+
+def oblique(frame: np.ndarray) -> np.ndarray:
+    """The frame as a camera sees it that looks from aside."""
+    height, width = frame.shape[:2]
+    rows, wanted = [], []
+    for (x, y), (u, v) in zip(OBLIQUE, ((0, 0), (width, 0), (width, height), (0, height)), strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+        wanted += [u, v]
+    coefficients = np.linalg.solve(np.array(rows, float), np.array(wanted, float)).tolist()
+    return np.asarray(Image.fromarray(frame).transform((480, 380), Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BICUBIC))
+
+
+def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.ndarray], np.ndarray], Framing]]:
+    """How a frame of so many columns and rows is changed, and what is told of it."""
+    width, height = size
+    (above, below), (left, right) = BORDER
+
+    def bordered(frame: np.ndarray) -> np.ndarray:
+        return np.pad(frame, ((above, below), (left, right), (0, 0)))
+
+    def halved(frame: np.ndarray) -> np.ndarray:
+        return np.asarray(Image.fromarray(frame).resize((width // 2, height // 2), Image.Resampling.BOX))
+
+    def cut(frame: np.ndarray) -> np.ndarray:
+        return frame[height // 8 : -height // 8, width // 8 : -width // 8]
+
+    crop, corners = (left, above, width, height), np.array(OBLIQUE, float)
+    return [
+        ("in a black border", bordered, Framing()),
+        ("… --crop", bordered, Framing(crop=crop)),
+        ("… --crop --mm-per-px", bordered, Framing(crop=crop, mm_per_px=mm)),
+        ("… --mm-per-px", bordered, Framing(mm_per_px=mm)),
+        ("oblique", oblique, Framing()),
+        ("… --corners --corners-mm", oblique, Framing(corners=corners, corners_mm=(width * mm, height * mm))),
+        ("of half the pixels, --mm-per-px", halved, Framing(mm_per_px=2 * mm)),
+        ("three quarters of it", cut, Framing()),
+        ("… --mm-per-px", cut, Framing(mm_per_px=mm)),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--mm-per-px", type=float, required=True)
+    parser.add_argument("--sensor")
+    parser.add_argument("--videos", type=int, default=24)
+    options = parser.parse_args()
+    files = sorted(path for path in options.folder.iterdir() if path.suffix.lower() in (".mov", ".mp4", ".avi", ".mkv"))
+    files = [files[int(place)] for place in np.linspace(0, len(files) - 1, min(options.videos, len(files)))]
+    away: dict[int, list[float]] = {}
+    names: list[str] = []
+    for file in files:
+        frames = list(_video(file, 0.0, None))[::EVERY]
+        found = []
+        kinds = framings(frames[0].shape[1::-1], options.mm_per_px)
+        names = [name for name, _, _ in kinds]
+        for _, change, framing in [("as it is", np.asarray, Framing()), *kinds]:
+            with TemporaryDirectory() as folder:
+                for number, frame in enumerate(frames):
+                    Image.fromarray(np.ascontiguousarray(change(frame))).save(Path(folder) / f"{number:04d}.png", compress_level=1)
+                (answer,) = predict(find_models(["default"]), [Path(folder)], framing=framing, sensor=options.sensor, device="cpu")
+            found.append(answer.get("shore_00", np.nan))
+        for number, reading in enumerate(found[1:]):
+            away.setdefault(number, []).append(abs(reading - found[0]))
+        print(f"{file.name}: {found[0]:.1f}; " + ", ".join(f"{reading:.1f}" for reading in found[1:]), flush=True)
+    print("\n| framing, and what is told | median [Shore 00] | 90 % |\n|---|---|---|")
+    for number, name in enumerate(names):
+        print(f"| {name} | {np.nanmedian(away[number]):.1f} | {np.nanpercentile(away[number], 90):.1f} |")
+
+
+if __name__ == "__main__":
+    main()

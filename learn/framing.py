@@ -1,0 +1,136 @@
+"""How the pictures of a video show the gel: what is kept of them, set upright, and its scale.
+
+The networks know presses in pictures FIELD_MM wide and high. Of pictures whose scale is told, that much is cut out around the contact;
+what a smaller picture lacks is filled with its border, in which nothing changes. Without a scale the whole picture is taken for FIELD_MM.
+Left out: finding the gel's outline or the scale in the pictures themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelsim.calibrate.reading import Reader, check_corners
+from gelsim.errors import SceneError
+from learn.config import LearnError
+from learn.frames import as_wide, averaged
+
+FIELD_MM = (18.4, 13.8)
+"""Of the sensor in the plans that the shipped networks are trained on, of which training cuts out 85 to 100 %."""
+SCALES = (1e-3, 1.0)
+"""Of mm_per_px."""
+FIELDS_MM = (4.0, 200.0)
+"""Widths of what is kept: of less a press cannot be told, more is no tactile sensor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Framing:
+    """What of each frame is the gel, and how large that is.
+
+    Args:
+        crop: Left, top, width and height [px] of what is kept.
+        corners: (column, row) [px] of a rectangle on the gel, clockwise from its top left, (4, 2), which is set upright.
+        corners_mm: Width and height of that rectangle.
+        mm_per_px: Of the frames, or of what is cut out; not beside corners_mm.
+    """
+
+    crop: tuple[int, int, int, int] | None = None
+    corners: NDArray[np.float64] | None = None
+    corners_mm: tuple[float, float] | None = None
+    mm_per_px: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raises LearnError: They do not go together, or are none."""
+        if self.crop and self.corners is not None:
+            raise LearnError("--crop and --corners exclude each other: corners cut out too")
+        if self.crop and (min(self.crop[:2]) < 0 or min(self.crop[2:]) <= 0):
+            said = " ".join(map(str, self.crop))
+            raise LearnError(f"--crop {said}: left and top are 0 px or more, width and height more than 0 px")
+        if self.corners_mm and (self.corners is None or self.mm_per_px is not None):
+            raise LearnError("--corners-mm is the size of the rectangle of --corners, in place of --mm-per-px")
+        if self.corners_mm and not all(0.0 < side <= FIELDS_MM[1] for side in self.corners_mm):
+            said = " ".join(f"{side:g}" for side in self.corners_mm)
+            raise LearnError(f"--corners-mm {said} mm: allowed is more than 0 mm, up to {FIELDS_MM[1]:g} mm")
+        if self.mm_per_px is not None and not SCALES[0] <= self.mm_per_px <= SCALES[1]:
+            raise LearnError(f"--mm-per-px {self.mm_per_px:g}: allowed is {SCALES[0]:g} … {SCALES[1]:g} (a picture {FIELD_MM[0]:g} mm wide "
+                             f"of 640 px has {FIELD_MM[0] / 640:.3g})")  # fmt: skip
+        if self.corners is not None:
+            try:
+                check_corners(self.corners, "--corners")
+            except SceneError as error:
+                raise LearnError(str(error)) from None
+
+    def kept(self, frame: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
+        """What is kept of a frame (H, W, 3).
+
+        Raises:
+            LearnError: The frame does not reach so far.
+        """
+        height, width = frame.shape[:2]
+        if self.crop:
+            left, top, wide, high = self.crop
+            if left + wide > width or top + high > height:
+                raise LearnError(f"--crop {left} {top} {wide} {high} reaches beyond {name}, which is {width} x {height} px")
+            return frame[top : top + high, left : left + wide]
+        if self.corners is None:
+            return frame
+        if not ((self.corners >= 0) & (self.corners <= [width, height])).all():
+            raise LearnError(f"--corners: one lies outside {name}, which is {width} x {height} px")
+        from PIL import Image
+
+        reader = self._reader
+        coefficients = reader.homography.ravel()[:8].tolist()
+        upright = Image.fromarray(frame).transform(reader.upright, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
+        return np.asarray(upright)
+
+    @property
+    def _reader(self) -> Reader:
+        return Reader(Path(), corners=self.corners, corners_mm=self.corners_mm)
+
+    @property
+    def scale(self) -> float | None:
+        """Millimetres of a pixel of what is kept, None where it is not known."""
+        return self._reader.mm_per_px if self.corners_mm else self.mm_per_px
+
+    def check_field(self, kept: NDArray[np.uint8], name: str) -> None:
+        """Raises LearnError: What is kept of a frame is too small or too large to be a sensor's."""
+        if self.scale is None:
+            return
+        wide, high = kept.shape[1] * self.scale, kept.shape[0] * self.scale
+        if not all(FIELDS_MM[0] <= side <= FIELDS_MM[1] for side in (wide, high)):
+            allowed = f"allowed is {FIELDS_MM[0]:g} … {FIELDS_MM[1]:g} mm a side"
+            raise LearnError(f"{name}: {kept.shape[1]} x {kept.shape[0]} px of {self.scale:g} mm are {wide:.3g} x {high:.3g} mm; {allowed}")
+
+
+def at_scale(kept: NDArray[np.uint8], picture: tuple[int, int], scale: float, centre: tuple[float, float]) -> NDArray[np.uint16]:
+    """The network's picture (rows, columns) of FIELD_MM of what is kept of a frame, as `learn.frames.fit_picture` gives it of all.
+
+    Args:
+        scale: Millimetres of a pixel of what is kept.
+        centre: Of what is cut out, (x, y) as shares of its sides.
+    """
+    kept = as_wide(kept, picture)
+    per_mm = picture[0] / FIELD_MM[1], picture[1] / FIELD_MM[0]
+    rows, columns = (max(round(side * scale * density), 1) for side, density in zip(kept.shape, per_mm, strict=False))
+    whole = averaged(kept, (rows, columns))
+    return whole[np.ix_(_span(rows, picture[0], centre[1]), _span(columns, picture[1], centre[0]))]
+
+
+def _span(length: int, size: int, centre: float) -> NDArray[np.intp]:
+    """`size` of the indices 0 … `length` - 1 about a place; where there are fewer, all in the middle and their ends repeated."""
+    begin = int(np.clip(round(centre * length - size / 2), 0, length - size)) if size < length else (length - size) // 2
+    return np.clip(np.arange(begin, begin + size), 0, length - 1)
+
+
+def contact_centre(
+    pictures: NDArray[np.floating], empty: NDArray[np.floating], signal: NDArray[np.floating], deadband: float
+) -> tuple[float, float]:
+    """Where pictures (N, h, w, 3) of a press have changed most, (x, y) as shares of the sides: the centre of the largest change's."""
+    change = np.maximum(np.abs(pictures[int(np.argmax(signal))] - empty) - deadband, 0.0).sum(axis=2)
+    if not change.any():
+        return 0.5, 0.5
+    across, down = (float(((np.arange(len(part)) + 0.5) * part).sum() / part.sum() / len(part)) for part in (change.sum(0), change.sum(1)))
+    return across, down
