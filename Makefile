@@ -18,7 +18,7 @@ train-mini: .venv/stamp
 	@echo "Look at out/mini/curves.png and out/mini/report.json"
 
 test: .venv/stamp
-	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_FLAGS)
 
 lint: .venv/stamp
 	$(BIN)/ruff check .

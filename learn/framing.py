@@ -2,12 +2,12 @@
 
 The networks know presses in pictures FIELD_MM wide and high. Of pictures whose scale is told, that much is cut out around the contact;
 what a smaller picture lacks is filled with its border, in which nothing changes. Without a scale the whole picture is taken for FIELD_MM.
-Left out: finding the gel's outline or the scale in the pictures themselves.
+A black border is found and cut off. Left out: finding the gel in other surroundings, or the scale in the pictures.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,8 @@ FIELD_MM = (18.4, 13.8)
 """Of the sensor in the plans that the shipped networks are trained on, of which training cuts out 85 to 100 %."""
 SCALES = (1e-3, 1.0)
 """Of mm_per_px."""
+DARK, THICK = 24, 0.02
+"""Level that no pixel of a black border exceeds, and the share of the picture's side below which a border is left."""
 FIELDS_MM = (4.0, 200.0)
 """Widths of what is kept: of less a press cannot be told, more is no tactile sensor."""
 
@@ -94,6 +96,22 @@ class Framing:
     def scale(self) -> float | None:
         """Millimetres of a pixel of what is kept, None where it is not known."""
         return self._reader.mm_per_px if self.corners_mm else self.mm_per_px
+
+    def outlined(self, frame: NDArray[np.uint8]) -> Framing:
+        """With the black border of a frame (H, W, 3) cut off, where nothing says what to keep and there is one."""
+        if self.crop or self.corners is not None:
+            return self
+        light = frame.max(axis=2) > DARK
+        spans = []
+        for axis in (0, 1):
+            lit = np.flatnonzero(light.any(axis=axis))
+            if len(lit) == 0:
+                return self
+            size, (begin, end) = light.shape[1 - axis], (int(lit[0]), int(lit[-1]) + 1)
+            spans.append((begin, end) if max(begin, size - end) > THICK * size else (0, size))
+        (left, right), (top, bottom) = spans
+        whole = (right - left, bottom - top) == frame.shape[1::-1]
+        return self if whole else replace(self, crop=(left, top, right - left, bottom - top))
 
     def check_field(self, kept: NDArray[np.uint8], name: str) -> None:
         """Raises LearnError: What is kept of a frame is too small or too large to be a sensor's."""

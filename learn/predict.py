@@ -122,7 +122,7 @@ def predict(
                 "novelty": distance if np.isfinite(distance) else None,
                 "unlike_training": strange or bool(odd_gel),
                 "true": source.true,
-                "note": _note(mean, distance if strange else None, odd_gel, ensemble.asks_gel and not np.isfinite(press.gel).all()),
+                "note": _note(source, mean, distance if strange else None, odd_gel, ensemble.asks_gel and not np.isfinite(press.gel).all()),
             }
 
 
@@ -138,8 +138,8 @@ def _listed(video: Path, *options: Any) -> Iterator[tuple[str, Callable[[], Sour
         yield str(video), refuse
 
 
-def _note(mean: float, distance: float | None, odd_gel: list[str], untold: bool) -> str:
-    notes = []
+def _note(source: Source, mean: float, distance: float | None, odd_gel: list[str], untold: bool) -> str:
+    notes = [source.note] if source.note else []
     if distance is not None:
         notes.append(
             f"unlike anything it was trained on ({distance:.2g} times as far off as 99 % of its validation presses): do not trust this"

@@ -50,6 +50,8 @@ class Source:
     """Shore 00 where the source knows it."""
     gel: Gel = UNKNOWN_GEL
     """Of the sensor, where the source knows it: by its row, or by the scene.toml beside pictures of `gelsim render`."""
+    note: str = ""
+    """What was assumed of the pictures."""
 
 
 def sources(
@@ -93,14 +95,18 @@ Frames = Callable[[], Iterator[NDArray[np.uint8]]]
 
 
 def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path | None, framing: Framing) -> Source:
-    picture, scale = inputs.picture, framing.scale
+    with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
+        first = next(opened, None)
+    given, picture, scale = framing, inputs.picture, framing.scale
+    framing = framing if first is None else framing.outlined(first)
     if scale is None:
         recording = _seen(path, frames, inputs, background, framing, lambda kept: fit_picture(kept, picture))
     else:  # where the contact is, is known once all has been read: it is read again
         whole = _seen(path, frames, inputs, background, framing, lambda kept: averaged(as_wide(kept, picture), picture))
         centre = contact_centre(whole.pictures, whole.background, whole.signal, inputs.deadband_levels)
         recording = _seen(path, frames, inputs, background, framing, lambda kept: at_scale(kept, picture, scale, centre))
-    return _checked(Source(str(path), recording, gel=_gel_beside(path)))
+    note = "" if framing is given else "a black border was cut off (--crop {} {} {} {})".format(*framing.crop or ())
+    return _checked(Source(str(path), recording, gel=_gel_beside(path), note=note))
 
 
 def _seen(

@@ -38,8 +38,8 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
     width, height = size
     (above, below), (left, right) = BORDER
 
-    def bordered(frame: np.ndarray) -> np.ndarray:
-        return np.pad(frame, ((above, below), (left, right), (0, 0)))
+    def bordered(frame: np.ndarray, level: int = 90) -> np.ndarray:
+        return np.pad(frame, ((above, below), (left, right), (0, 0)), constant_values=level)
 
     def halved(frame: np.ndarray) -> np.ndarray:
         return np.asarray(Image.fromarray(frame).resize((width // 2, height // 2), Image.Resampling.BOX))
@@ -49,15 +49,16 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
 
     crop, corners = (left, above, width, height), np.array(OBLIQUE, float)
     return [
-        ("in a black border", bordered, Framing()),
-        ("… --crop", bordered, Framing(crop=crop)),
-        ("… --crop --mm-per-px", bordered, Framing(crop=crop, mm_per_px=mm)),
-        ("… --mm-per-px", bordered, Framing(mm_per_px=mm)),
+        ("in a grey border", bordered, Framing()),
+        ("in a black border, which is found", lambda frame: bordered(frame, 0), Framing()),
+        ("in a grey border, --crop", bordered, Framing(crop=crop)),
+        ("in a grey border, --crop --mm-per-px", bordered, Framing(crop=crop, mm_per_px=mm)),
+        ("in a grey border, --mm-per-px", bordered, Framing(mm_per_px=mm)),
         ("oblique", oblique, Framing()),
-        ("… --corners --corners-mm", oblique, Framing(corners=corners, corners_mm=(width * mm, height * mm))),
+        ("oblique, --corners --corners-mm", oblique, Framing(corners=corners, corners_mm=(width * mm, height * mm))),
         ("of half the pixels, --mm-per-px", halved, Framing(mm_per_px=2 * mm)),
         ("three quarters of it", cut, Framing()),
-        ("… --mm-per-px", cut, Framing(mm_per_px=mm)),
+        ("three quarters of it, --mm-per-px", cut, Framing(mm_per_px=mm)),
     ]
 
 

@@ -290,6 +290,8 @@ def test_a_press_is_seen_alike_however_it_is_framed(press: np.ndarray, tmp_path:
     whole = seen(tmp_path / "whole", press)
     bordered = np.pad(press, ((0, 0), (9, 21), (30, 10), (0, 0)))
     assert (seen(tmp_path / "border", bordered, Framing(crop=(30, 9, wide, high))) == whole).all()
+    assert (seen(tmp_path / "found", bordered) == whole).all()  # black, so found without a word
+    assert (seen(tmp_path / "grey", bordered.clip(min=40)) != whole).any()  # planted: not black
     corners = np.array([[30, 9], [30 + wide, 9], [30 + wide, 9 + high], [30, 9 + high]], float)
     assert np.abs(seen(tmp_path / "corners", bordered, Framing(corners=corners)) - whole).max() < 1.0
     # every pixel doubled is half as large: averaged to the network's size nothing is left of it
@@ -329,6 +331,15 @@ def test_the_contact_is_cut_out_at_its_scale() -> None:
 def test_a_framing_that_is_none(options: list[str], message: str, tiny_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["predict", "--model", str(tiny_run / "model.pt"), *options, "x.mp4"]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_border_that_was_cut_off_is_said(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    bordered = np.pad(press, ((0, 0), (9, 21), (30, 10), (0, 0)))
+    plain, (answer,) = ask(tiny_run, film(tmp_path / "plain.mkv", press)), ask(tiny_run, film(tmp_path / "border.mkv", bordered))
+    assert answer["shore_00"] == plain[0]["shore_00"] and "black border was cut off (--crop 30 9 48 36)" in answer["note"]
+    assert "border" not in plain[0]["note"].replace(str(tmp_path), "")
+    dark = Framing().outlined(np.zeros((20, 30, 3), np.uint8))
+    assert dark.crop is None  # nothing is left of a picture that is all black
 
 
 def test_a_framing_beyond_the_frames(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
