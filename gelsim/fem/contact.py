@@ -123,6 +123,18 @@ class ContactLaw:
     stick_stiffness: float
     """k_t·h [kPa], likewise."""
 
+    def slip_bound(self, pressure: Array) -> Array:
+        """Tractions [kPa] that friction bears at pressures [kPa], as `contact_kernels.slip_bound`; inf where nothing slides."""
+        return self.friction * pressure if self.friction >= 0.0 else np.full_like(pressure, np.inf)
+
+    def slip_bound_slope(self, pressure: Array) -> Array:
+        """Its derivative, as `contact_kernels.slip_bound_slope`; of sliding points alone."""
+        return np.full_like(pressure, self.friction)
+
+    def slides(self, size: Array, pressure: Array) -> NDArray[np.bool_]:
+        """Whether points slide, by the sizes of their tractions [kPa] as they were cut back."""
+        return (size > 0.0) & (size >= self.slip_bound(pressure) * (1 - 1e-9))
+
 
 def rest_weights(rest: Array, faces: NDArray[np.int32], points: int) -> Array:
     """Share of each quadrature point in the area of its six-node face, (F, points)."""

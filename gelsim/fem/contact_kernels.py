@@ -141,6 +141,19 @@ def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     return k
 
 
+@wp.func
+def slip_bound(mu: wp.float64, p: wp.float64) -> wp.float64:
+    """Traction that friction bears at a pressure, by Coulomb's law; μ < 0: any."""
+    if mu < wp.float64(0.0):
+        return wp.float64(1.0e300)
+    return mu * p
+
+
+@wp.func
+def slip_bound_slope(mu: wp.float64, p: wp.float64) -> wp.float64:
+    return mu
+
+
 # Behind a point, along its line, from where the other surface is sought [mm]: the overlaps of Newton's guesses are smaller.
 BEHIND = wp.constant(wp.float64(0.3))
 
@@ -345,9 +358,9 @@ def friction_force(
     position = on_face(x, base, slave, slave_face(layout, i), m)
     t = slip_trial(x, base, position, master, anchor_face[i], s, normal[i], shift[i], stick[i // layout.points])
     size = wp.length(t)
-    mu = friction[scene_of(layout, i)]
-    if mu >= wp.float64(0.0) and size > mu * pressure[i]:
-        t = (mu * pressure[i] / size) * t
+    bound = slip_bound(friction[scene_of(layout, i)], pressure[i])
+    if size > bound:
+        t = (bound / size) * t
     traction[i] = -t
     for a in range(6):
         wp.atomic_add(force, base + slave[slave_face(layout, i), a], (weight[i] * m[a]) * t)
@@ -432,10 +445,10 @@ def friction_tangent(
     tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
     stiffness = kt * tangential
     size = wp.length(t)
-    mu = friction[scene_of(layout, i)]
-    if mu >= wp.float64(0.0) and size > mu * pressure[i]:
+    bound = slip_bound(friction[scene_of(layout, i)], pressure[i])
+    if size > bound:
         direction = t / size
-        stiffness = (kt * mu * pressure[i] / size) * (tangential - geometric[scene_of(layout, i)] * wp.outer(direction, direction))
+        stiffness = (kt * bound / size) * (tangential - geometric[scene_of(layout, i)] * wp.outer(direction, direction))
     stiffness = weight[i] * stiffness
     for a in range(12):
         na = int(0)
@@ -597,12 +610,13 @@ def add_remainder(
         full = shift[i] + stick[i // layout.points] * (position - on_face(x, base, master, anchor, held))
         t = full - wp.dot(full, n) * n
         dt = -wp.dot(full, n) * dn - wp.dot(full, dn) * n
-        size = w * wp.length(t)
+        size = wp.length(t)
         mu = friction[scene]
+        bound = slip_bound(mu, p / w)
         rub = w * dt
-        if mu >= wp.float64(0.0) and size > mu * p:
+        if size > bound:
             along = wp.normalize(t)
-            rub = (mu * p / size) * (rub - wp.dot(along, rub) * along) - (mu * slope * change.gap) * along
+            rub = (bound / size) * (rub - wp.dot(along, rub) * along) - (slip_bound_slope(mu, p / w) * slope * change.gap) * along
     for a in range(6):
         add_free(out, equation, base + slave[own, a], m[a] * (pull + rub))
         add_free(out, equation, base + master[f, a], p * (s1[a] * change.xi[0] + s2[a] * change.xi[1]) * n - s[a] * pull)

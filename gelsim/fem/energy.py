@@ -79,9 +79,8 @@ class EnergyBalance:
         if contact.frictional:
             traction, slip = contact.traction.numpy().copy(), contact.slip(problem.solids.positions())
             earlier, size = self._traction.copy(), np.linalg.norm(traction, axis=1)
-            mu = contact.law.friction
-            slides = (size > 0.0) & (size >= mu * pressure * (1 - 1e-9)) if mu > 0.0 else np.zeros(len(size), bool)
-            earlier[slides] = traction[slides] * (mu * self._pressure[slides] / size[slides])[:, None]
+            slides = contact.law.slides(size, pressure)
+            earlier[slides] = traction[slides] * (contact.law.slip_bound(self._pressure[slides]) / size[slides])[:, None]
             self._lost -= float((contact.rest_weight[:, None] * 0.5 * (traction + earlier) * slip).sum())
             self._traction = traction
         self._pressure, self._overlap = pressure, overlap

@@ -149,7 +149,7 @@ def expected_travel(scene: Scene) -> float:
     solids = materials.object_materials(scene)
     if "body" in solids:
         soft = solids["body"].youngs_modulus
-        wide = min(2 * radius, 25e-3) if row.has_radius else (body.width_mm or 15.0) * MM
+        wide = min(2 * radius, 25e-3) if row.has_radius else (body.width_mm or row.width_mm) * MM
         travel += (force / ((16 / 9) * soft * np.sqrt(curved))) ** (2 / 3) + 0.5 * force * body.height_mm * MM / (
             soft * wide * min(wide, 25e-3)
         )

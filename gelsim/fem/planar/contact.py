@@ -180,9 +180,7 @@ class EdgeContact(SurfaceContact):
 
     def _cut(self, trial: Array, pressure: Array) -> Array:
         """What is left of a trial traction under Coulomb's bound."""
-        if self.law.friction < 0:
-            return np.ones(len(trial))
-        return np.minimum(1.0, self.law.friction * pressure / np.maximum(np.linalg.norm(trial, axis=1), 1e-300))
+        return np.minimum(1.0, self.law.slip_bound(pressure) / np.maximum(np.linalg.norm(trial, axis=1), 1e-300))
 
     def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array, geometric: bool) -> bool:
         now = x.numpy()
@@ -234,11 +232,11 @@ class EdgeContact(SurfaceContact):
         None where no point slips. Uses the state of the last `add_force`.
         """
         law = self.law
-        if law.friction <= 0.0:
+        if not self.frictional:
             return None
         pressure, traction = self.pressure.numpy(), self.traction.numpy()
         size = np.linalg.norm(traction, axis=1)
-        slipping = np.flatnonzero((pressure > 0) & (size > 0) & (size >= law.friction * pressure * (1 - 1e-9)))
+        slipping = np.flatnonzero((pressure > 0) & law.slides(size, pressure))
         if len(slipping) == 0:
             return None
         face, k = self.face.numpy()[slipping], self.stiffness.numpy()[slipping // self.points]
@@ -248,7 +246,7 @@ class EdgeContact(SurfaceContact):
         normal = self.normal.numpy()[slipping]
         places = self.anchor_face.numpy()[slipping], self.anchor_place.numpy()[slipping]
         along = self._relative_motion(slipping, direction, *places, equation, unknowns)
-        weight = self.rest_weight[slipping] * law.friction * slope
+        weight = self.rest_weight[slipping] * law.slip_bound_slope(pressure[slipping]) * slope
         closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.place.numpy()[slipping], equation, unknowns)
         return along, closing
 
