@@ -146,6 +146,11 @@ class LiveSensor:
         """The picture of the present state, 8-bit sRGB, shape (H, W, 3): for a loop that steps more often than it looks."""
         return self._drawer.draw(self.displaced, self._spots())
 
+    def marker_pixels(self) -> Array:
+        """(column, row) of the marker centres in the present state [px], (K, 2); NaN outside the picture."""
+        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), self._spots())
+        return marker_pixels(self._scene, membrane)
+
     @cached_property
     def _drawer(self) -> _Drawer:
         return _Drawer(self._scene, self._device)
@@ -241,13 +246,10 @@ class LiveSensor:
         traction = np.stack([*(self._shear + self._pressure * self._slope), -self._pressure]).astype(np.float64) * area
         x, y = np.meshgrid(self.x, self.y)
         arm = np.stack([x, y, self._deep * MM])
-        spots = self._spots()
-        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), spots)
-        image = self._drawer.draw(self.displaced, spots) if self._draws else None
         return LiveFrame(
-            image,
+            self.image() if self._draws else None,
             (self._deep * MM).astype(np.float32),
-            marker_pixels(self._scene, membrane),
+            self.marker_pixels(),
             traction.sum(axis=(1, 2)),
             np.cross(arm, traction, axis=0).sum(axis=(1, 2)),
             self._pressure > 0,
