@@ -49,6 +49,8 @@ ROUND = 4
 SMOOTH = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
 ROUNDED = 0.0125
 """Edge radius that such an object is sampled for, over its narrowest extent."""
+FAR = 1.0
+"""From which on it does not matter how far the object is [m]."""
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -110,11 +112,11 @@ class Pad:
         self.frame, self.wrench = None, np.zeros(6)
 
     def pose(self, data: mujoco.MjData) -> Array:
-        """Of the object in the gel's frame, as the sensor takes it: x, y, z [m], quaternion w, x, y, z; (7,)."""
+        """Of the object in the gel's frame, as the sensor takes it: x, y, z [m], at most FAR, quaternion w, x, y, z; (7,)."""
         gel, at = data.site_xmat[self.site].reshape(3, 3), data.site_xpos[self.site]
         turn = data.xmat[self.object].reshape(3, 3)
         place = gel.T @ (data.xpos[self.object] + turn @ self._origin - at)
-        return np.concatenate([place, np.roll(Rotation.from_matrix(gel.T @ turn).as_quat(), 1)])
+        return np.concatenate([np.clip(place, -FAR, FAR), np.roll(Rotation.from_matrix(gel.T @ turn).as_quat(), 1)])
 
     def levers(self, data: mujoco.MjData) -> tuple[tuple[int, Array], tuple[int, Array]]:
         """Of gel and object: the body, and the matrix (6, 6) from a wrench on the gel, in its frame, to the body's row of `xfrc_applied`."""
