@@ -27,9 +27,9 @@ MASS = 0.03
 """Of the egg [kg]; it weighs 0.29 N."""
 FIRST_GRIP = 0.2
 """Normal force at which closing ends [N]: too little for this egg."""
-SLIPPING = 0.4
+SLIPPING = 0.35
 """Shear over normal force from which the grip rises; the gels' friction is 0.5."""
-TIGHTER = 1.0
+TIGHTER = 4.0
 """How fast it rises then [N/s]."""
 GAIN = 0.05
 """Closing speed over force that is missing [m/s per N]."""
@@ -57,10 +57,11 @@ def main(quick: bool = False, tighter: float = TIGHTER) -> dict[str, float]:
     while not lifted:
         normal, shear = felt(touch.pads)
         closed = closed or normal > 0.95 * FIRST_GRIP
-        if closed and shear > SLIPPING * normal:
+        slipping = shear > SLIPPING * normal
+        if closed and slipping:
             grip += tighter * model.opt.timestep
         data.actuator("close").ctrl = np.clip(GAIN * (grip - normal), -0.02, 0.02)
-        data.actuator("lift").ctrl = LIFT if closed else 0.0
+        data.actuator("lift").ctrl = LIFT if closed and not (slipping and tighter) else 0.0  # it waits for the grip
         touch.step()
         peak = max(peak, normal)
         lifted = data.joint("lift").qpos[0] > (0.005 if quick else 0.04)

@@ -60,12 +60,12 @@ def spots(letter: int) -> np.ndarray:
     return np.array([[letter * LETTER + (dot // 3 - 0.5) * PITCH, (1 - dot % 3) * PITCH] for dot in range(6)])
 
 
-def read(touched: np.ndarray, first: np.ndarray) -> str:
-    """The word under a map of what was touched, (rows, columns) of PAPER from `first` [m] on; "?" for no letter that is known."""
+def read(relief: np.ndarray, first: np.ndarray) -> str:
+    """The word on a map of heights [m], (rows, columns) of PAPER from `first` [m] on; "?" for no letter that is known."""
     word = ""
     for letter in range(len(WORD)):
         columns, rows = np.round((spots(letter) - first) / PAPER).astype(int).T
-        dots = tuple(int(dot) + 1 for dot in np.flatnonzero(touched[rows, columns]))
+        dots = tuple(int(dot) + 1 for dot in np.flatnonzero(relief[rows, columns] > DOT / 2))
         word += next((name for name, known in LETTERS.items() if known == dots), "?")
     return word
 
@@ -87,7 +87,7 @@ def main(quick: bool = False) -> dict[str, object]:
     pad = Pad(model, "pad", "plate", scene)
     touch = Touch(model, data, [pad])
     view = None if quick else mujoco.Renderer(model, 240, 320)
-    first, touched = np.array([-0.012, -0.008]), np.zeros((81, 181), bool)
+    first, relief = np.array([-0.012, -0.008]), np.zeros((81, 181))
     forces, seen = [], []
     while data.joint("along").qpos[0] < LETTER * len(WORD):
         normal = -float(pad.wrench[2])
@@ -100,22 +100,22 @@ def main(quick: bool = False) -> dict[str, object]:
             forces.append(normal)
             rows, columns = np.nonzero(pad.frame.contact)
             turn, at = data.site_xmat[pad.site].reshape(3, 3), data.site_xpos[pad.site]
-            places = np.column_stack([pad.sensor.x[columns], pad.sensor.y[rows]]) @ turn[:2, :2].T + at[:2]
-            column, row = np.round((places - first) / PAPER).astype(int).T
-            inside = (row >= 0) & (row < len(touched)) & (column >= 0) & (column < touched.shape[1])
-            touched[row[inside], column[inside]] = True
+            cells = np.column_stack([pad.sensor.x[columns], pad.sensor.y[rows], pad.frame.height[rows, columns]]) @ turn.T + at
+            column, row = np.round((cells[:, :2] - first) / PAPER).astype(int).T
+            inside = (row >= 0) & (row < len(relief)) & (column >= 0) & (column < relief.shape[1])
+            relief[row[inside], column[inside]] = cells[inside, 2]
         if view is not None and data.time * FPS >= len(seen):
             view.update_scene(data, "view")
-            seen.append(picture(view.render(), pad.image(), touched, f"{normal:.2f} N"))
+            seen.append(picture(view.render(), pad.image(), relief, f"{normal:.2f} N"))
     if seen:
         VIDEO.parent.mkdir(exist_ok=True)
         encode_video(VIDEO, seen, FPS)
-    return {"read": read(touched, first), "force_n": (float(np.mean(forces)), float(np.std(forces)))}
+    return {"read": read(relief, first), "force_n": (float(np.mean(forces)), float(np.std(forces)))}
 
 
-def picture(world: np.ndarray, gel: np.ndarray, touched: np.ndarray, words: str) -> np.ndarray:
-    """The scene, what the gel sees, and below what it has touched so far."""
-    page = Image.fromarray(np.where(touched[::-1], 0, 255).astype(np.uint8)).resize((640, 286)).convert("RGB")
+def picture(world: np.ndarray, gel: np.ndarray, relief: np.ndarray, words: str) -> np.ndarray:
+    """The scene, what the gel sees, and below the relief that it has felt so far."""
+    page = Image.fromarray((255 * np.clip(relief[::-1] / DOT, 0, 1)).astype(np.uint8)).resize((640, 286)).convert("RGB")
     whole = Image.fromarray(np.vstack([np.hstack([world, gel]), np.asarray(page)]))
     ImageDraw.Draw(whole).text((6, 4), words, fill="white")
     return np.asarray(whole)

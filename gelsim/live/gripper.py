@@ -1,10 +1,13 @@
-"""A two-finger gripper with a gel on each finger over a table, its thing to lift, and that as a Gymnasium environment.
+"""A two-finger gripper with a gel on each finger over a table, an egg to lift, and that as a Gymnasium environment.
 
 The fingers are coupled, as a parallel gripper's are. Both commands are speeds: of closing, and of the lift. What a policy sees is what
 such a gripper has: forces and markers of both gels, and its own joints; pictures on demand. How heavy the thing is it has to feel.
 
 Left out: an arm, cables, the time that a camera takes.
 """
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from compiled modules, whose types pyright does not know.
 
 from __future__ import annotations
 
@@ -87,10 +90,10 @@ def gripper(scene: Scene, mass: float) -> tuple[mujoco.MjModel, mujoco.MjData, T
 class LiftEnv(gymnasium.Env):
     """Lift an egg of unknown mass without breaking it.
 
-    Action: closing and lifting speed, (2,), of ±1: ±0.02 and ±0.05 m/s. Observation: "markers", their motion on both gels [px], (2, K, 2), 0
-    where one is out of the picture; "force", on both gels in their frames [N], (2, 3); "joints", opening and height of the hand [m], (2,);
-    with `image` the pictures too, (2, H, W, 3). Reward: height gained [dm], and 1 where it is lifted or -1 where it breaks, which both end
-    an episode. `info["mass"]` [kg] is what the policy does not see.
+    Action: closing and lifting speed, (2,), of ±1: ±0.02 and ±0.05 m/s. Observation: "markers", their motion on both gels [px], (2, K, 2),
+    0 where one is out of the picture; "force", on both gels in their frames [N], (2, 3); "joints", closing of both fingers and height of
+    the hand [m], (2,); with `image` the pictures too, (2, H, W, 3). Reward: height gained [dm], and 1 where it is lifted or -1 where it
+    breaks, which both end an episode. `info["mass"]` [kg] is what the policy does not see.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
@@ -167,11 +170,11 @@ class LiftEnv(gymnasium.Env):
         return np.stack([pad.sensor.marker_pixels() for pad in self.touch.pads])
 
     def _seen(self) -> dict[str, NDArray]:
-        opening = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
+        closing = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
         seen = {
             "markers": np.nan_to_num(self._read() - self._rest).astype(np.float32),
             "force": np.stack([pad.wrench[:3] for pad in self.touch.pads]).astype(np.float32),
-            "joints": np.array([opening, self.data.joint("lift").qpos[0]], np.float32),
+            "joints": np.array([closing, self.data.joint("lift").qpos[0]], np.float32),
         }
         if self._image:
             seen["image"] = np.stack([pad.image() for pad in self.touch.pads])

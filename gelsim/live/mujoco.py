@@ -17,11 +17,13 @@ Left out: what pads on one gel or objects on one pad do to each other; deformabl
 MuJoCo's own, with the box at rest. The implicit step takes energy out of fast motion, as an elastic gel would not.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from compiled modules, whose types pyright does not know.
+
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -38,6 +40,7 @@ from gelsim.shape.shapes import load_mesh
 from gelsim.units import MM, MM_PER_M
 
 Array = NDArray[np.float64]
+Pair = tuple[tuple[int, Array], tuple[int, Array]]
 
 GEL_DENSITY = 1e3
 """Of silicone [kg/m³]."""
@@ -55,7 +58,14 @@ STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 def add_pad(
-    spec: mujoco.MjSpec, parent: mujoco.MjsBody, name: str, scene: Scene, *, against: str, pos: ArrayLike = (0, 0, 0), quat: ArrayLike = (1, 0, 0, 0)
+    spec: mujoco.MjSpec,
+    parent: mujoco.MjsBody,
+    name: str,
+    scene: Scene,
+    *,
+    against: str,
+    pos: ArrayLike = (0, 0, 0),
+    quat: ArrayLike = (1, 0, 0, 0),
 ) -> mujoco.MjsBody:
     """Fixes a gel to a body of a model that is not compiled yet, and takes MuJoCo's contact with the object out.
 
@@ -70,9 +80,8 @@ def add_pad(
     width, length = scene.gel.size_mm
     half = np.array([width, length, scene.gel.thickness_mm]) * MM / 2
     pad = parent.add_body(name=name, pos=np.asarray(pos, float), quat=np.asarray(quat, float))
-    pad.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[0, 0, -half[2]], density=GEL_DENSITY, rgba=[0.75, 0.75, 0.8, 1]
-    )
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    pad.add_geom(name=name, type=box, size=half, pos=[0, 0, -half[2]], density=GEL_DENSITY, rgba=[0.75, 0.75, 0.8, 1])
     pad.add_site(name=name, size=[MM, MM, MM])
     spec.add_exclude(bodyname1=name, bodyname2=against)
     return pad
@@ -89,7 +98,8 @@ class Pad:
             body: The object, rigid: all of its geoms.
             scene: Its gel, contact, camera, lights, coating and markers count; its object and its press do not.
         Raises:
-            SceneError: The model has no such site or body, MuJoCo's own contact of the two is not excluded, or the object has no solid geom.
+            SceneError: The model has no such site or body, MuJoCo's own contact of the two is not excluded, or no geom of the body
+                bounds a solid.
         """
         self.site, self.object = (_index(model, kind, name) for kind, name in (("site", site), ("body", body)))
         self.body = int(model.site_bodyid[self.site])
@@ -118,8 +128,8 @@ class Pad:
         place = gel.T @ (data.xpos[self.object] + turn @ self._origin - at)
         return np.concatenate([np.clip(place, -FAR, FAR), np.roll(Rotation.from_matrix(gel.T @ turn).as_quat(), 1)])
 
-    def levers(self, data: mujoco.MjData) -> tuple[tuple[int, Array], tuple[int, Array]]:
-        """Of gel and object: the body, and the matrix (6, 6) from a wrench on the gel, in its frame, to the body's row of `xfrc_applied`."""
+    def levers(self, data: mujoco.MjData) -> Pair:
+        """Of gel and object: the body, and the matrix (6, 6) from a wrench on the gel, in its frame, to the body's `xfrc_applied`."""
         at, turn = data.site_xpos[self.site], data.site_xmat[self.site].reshape(3, 3)
         found = []
         for body, sign in ((self.body, 1.0), (self.object, -1.0)):
@@ -171,14 +181,14 @@ class Touch:
             pad.wrench = patch.wrench(way)
         self._push(levers, np.concatenate([pad.wrench for pad in self.pads]))
 
-    def _trial(self, levers: list, wrenches: Array) -> Array:
+    def _trial(self, levers: list[Pair], wrenches: Array) -> Array:
         """Joint velocities after a step with wrenches on the gels, (nv,), which is then undone."""
         self._push(levers, wrenches)
         ahead = self.data.qvel.copy()
         mujoco.mj_setState(self.model, self.data, self._state, STATE)
         return ahead
 
-    def _push(self, levers: list, wrenches: Array) -> None:
+    def _push(self, levers: list[Pair], wrenches: Array) -> None:
         """Steps with wrenches on the gels."""
         own = self.data.xfrc_applied.copy()
         for pair, wrench in zip(levers, wrenches.reshape(-1, 6), strict=True):
@@ -188,7 +198,7 @@ class Touch:
         self.data.xfrc_applied[:] = own
 
 
-def _approach(model: mujoco.MjModel, data: mujoco.MjData, levers: Iterable[tuple[int, Array]]) -> Array:
+def _approach(model: mujoco.MjModel, data: mujoco.MjData, levers: Pair) -> Array:
     """From joint velocities to the object's motion in the gel's frame, at the gel's origin, linear before angular: (6, nv).
 
     By the power of a wrench: what takes it to both bodies takes their velocities to its own.
@@ -217,17 +227,19 @@ def _check_excluded(model: mujoco.MjModel, gel: int, thing: int) -> None:
     one, other = (np.flatnonzero(model.geom_bodyid == body) for body in (gel, thing))
     kind, meets = model.geom_contype, model.geom_conaffinity
     if ((kind[one][:, None] & meets[other]) | (kind[other] & meets[one][:, None])).any():
-        names = (model.body(gel).name, model.body(thing).name)
-        raise SceneError(f'body = "{names[1]}": MuJoCo\'s own contact with "{names[0]}" must be excluded; add_pad(..., against=...) does it')
+        raise SceneError(
+            f'body = "{model.body(thing).name}": MuJoCo\'s own contact with "{model.body(gel).name}" must be excluded, by <exclude> or add_pad'
+        )
 
 
 def _shape(model: mujoco.MjModel, body: int, path: Path) -> tuple[Body, Array]:
     """A body's geoms as gelsim's object, and where its origin is in the body's frame [m]."""
     solids = [solid for geom in np.flatnonzero(model.geom_bodyid == body) if (solid := _solid(model, int(geom))) is not None]
     if not solids:
-        raise SceneError(f'body = "{model.body(body).name}": it has no geom that bounds a solid; allowed are sphere, ellipsoid, box, capsule, '
-                         "cylinder, mesh")  # fmt: skip
-    whole = trimesh.util.concatenate(solids)
+        raise SceneError(
+            f'body = "{model.body(body).name}": it has no geom that bounds a solid: sphere, ellipsoid, box, capsule, mesh, cylinder'
+        )
+    whole: trimesh.Trimesh = trimesh.util.concatenate(solids)  # type: ignore[assignment]
     whole.apply_scale(MM_PER_M)
     whole.export(path)
     kinds = model.geom_type[model.geom_bodyid == body]

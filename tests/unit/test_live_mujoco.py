@@ -94,7 +94,8 @@ def test_forces_are_equal_and_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
     about = [np.cross(touch.data.xipos[body], row[:3]) + row[3:] for body, row in ((gel, one), (ball, other))]
     assert np.allclose(one[:3] + other[:3], 0, atol=1e-15) and np.allclose(about[0] + about[1], 0, atol=1e-15)
     held = Pad.levers
-    monkeypatch.setattr(Pad, "levers", lambda self, data: (held(self, data)[0], (self.object, 0.5 * held(self, data)[1][1])))  # planted: half
+    half = lambda self, data: (held(self, data)[0], (self.object, 0.5 * held(self, data)[1][1]))  # noqa: E731
+    monkeypatch.setattr(Pad, "levers", half)  # planted
     linear, _, exchanged = exchange(world(0.5, free_pad=True, height=1e-4))
     assert np.abs(linear).max() > 0.1 * exchanged
 
@@ -160,7 +161,7 @@ def test_a_micrometre_changes_the_force_by_twice_its_stiffness_at_most(friction:
 
 
 def shaken(steps: int) -> tuple[float, float]:
-    """A ball on a gel, thrown about by random forces of a few times its weight: share of the steps in touch, and its highest speed [m/s]."""
+    """A ball on a gel, thrown about by random forces of twice its weight: share of the steps in touch, highest speed [m/s]."""
     touch = world(0.5, mass=0.005)
     rng, ball = np.random.default_rng(2), touch.model.body("ball").id
     touch.model.dof_damping[3:6] = 2e-6
