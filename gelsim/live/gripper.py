@@ -171,7 +171,7 @@ class LiftEnv(gymnasium.Env):
 
     def _seen(self) -> dict[str, NDArray]:
         closing = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
-        seen = {
+        seen: dict[str, NDArray] = {
             "markers": np.nan_to_num(self._read() - self._rest).astype(np.float32),
             "force": np.stack([pad.wrench[:3] for pad in self.touch.pads]).astype(np.float32),
             "joints": np.array([closing, self.data.joint("lift").qpos[0]], np.float32),

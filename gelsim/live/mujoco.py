@@ -174,7 +174,7 @@ class Touch:
             for column in np.flatnonzero(touching):
                 probe = PROBE * (1.0 if column % 6 < 3 else ARM) * (np.arange(len(last)) == column)
                 response[:, column] = (step * approach @ self._trial(levers, last + probe) - motion) / probe[column]
-            stiff = block_diag(*(patch.stiffness() for patch in patches))
+            stiff: Array = np.asarray(block_diag(*(patch.stiffness() for patch in patches)))
             now = np.concatenate([patch.wrench(np.zeros(6)) for patch in patches])
             motion += response @ np.linalg.solve(np.eye(len(last)) - stiff @ response, now + stiff @ motion - last)
         for pad, patch, way in zip(self.pads, patches, motion.reshape(-1, 6), strict=True):
@@ -228,7 +228,7 @@ def _check_excluded(model: mujoco.MjModel, gel: int, thing: int) -> None:
     kind, meets = model.geom_contype, model.geom_conaffinity
     if ((kind[one][:, None] & meets[other]) | (kind[other] & meets[one][:, None])).any():
         raise SceneError(
-            f'body = "{model.body(thing).name}": MuJoCo\'s own contact with "{model.body(gel).name}" must be excluded, by <exclude> or add_pad'
+            f'body = "{model.body(thing).name}": MuJoCo\'s own contact with "{model.body(gel).name}" must be excluded; add_pad does it'
         )
 
 
