@@ -11,7 +11,7 @@ of mass.
 A gel is stiff: 10 g on 3 N/mm swing faster than steps of 2 ms can follow. So the force is the one that the gel will have at the step's end,
 F = F₀ + K h v⁺, with K of `gelsim.live.patch` and v⁺ = v* + R (F - F*). v* and R are MuJoCo's own: trial steps with the last force F*, and
 with F* changed by a little in each of its six numbers, show what velocity follows. So joints, actuators and other contacts are in R, and
-where nothing moves F is F₀ exactly.
+where nothing moves F is F₀ exactly. Callbacks of the model see the trial steps too.
 
 Left out: what pads on one gel or objects on one pad do to each other; deformable bodies; contact of a pad with anything but its object is
 MuJoCo's own, with the box at rest. The implicit step takes energy out of fast motion, as an elastic gel would not.
@@ -167,15 +167,18 @@ class Touch:
         levers = [pad.levers(data) for pad in self.pads]
         approach = np.concatenate([_approach(model, data, pair) for pair in levers])
         touching = np.repeat([len(patch.points) > 0 for patch in patches], 6)
-        last = np.concatenate([pad.wrench for pad in self.pads]) * touching
-        motion = step * approach @ self._trial(levers, last)
+        touching = np.repeat([len(patch.points) > 0 for patch in patches], 6)
+        motion = np.zeros(len(touching))  # of the objects in the gels' frames, over the step
         if touching.any():
-            response = np.zeros((len(last), len(last)))  # of the way of a step to a wrench on the gel
+            last = np.concatenate([pad.wrench for pad in self.pads]) * touching
+            motion = step * approach @ self._trial(levers, last)
+            response = np.zeros((len(last), len(last)))  # of the motion to the wrenches
             for column in np.flatnonzero(touching):
                 probe = PROBE * (1.0 if column % 6 < 3 else ARM) * (np.arange(len(last)) == column)
                 response[:, column] = (step * approach @ self._trial(levers, last + probe) - motion) / probe[column]
             stiff: Array = np.asarray(block_diag(*(patch.stiffness() for patch in patches)))
             now = np.concatenate([patch.wrench(np.zeros(6)) for patch in patches])
+            # wrench = now + stiff motion and motion = that of the last wrench + response (wrench - last), solved for both
             motion += response @ np.linalg.solve(np.eye(len(last)) - stiff @ response, now + stiff @ motion - last)
         for pad, patch, way in zip(self.pads, patches, motion.reshape(-1, 6), strict=True):
             pad.wrench = patch.wrench(way)
