@@ -90,7 +90,7 @@ def main(quick: bool = False) -> dict[str, object]:
     first, relief = np.array([-0.012, -0.008]), np.zeros((81, 181))
     forces, seen = [], []
     while data.joint("along").qpos[0] < LETTER * len(WORD):
-        normal = -float(pad.wrench[2])
+        normal = abs(float(pad.wrench[2]))
         data.actuator("down").ctrl = np.clip(GAIN * (PRESS - normal), -0.02, 0.02)
         sliding = bool(forces) or normal > 0.9 * PRESS
         data.actuator("along").ctrl = SPEED if sliding else 0.0
