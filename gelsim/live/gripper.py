@@ -36,8 +36,8 @@ WORLD = """
   <worldbody>
     <light pos=".1 -.2 .4" dir="-.2 .4 -.8"/>
     <camera name="view" pos=".03 -.22 .07" xyaxes="1 .13 0 -.02 .15 1" fovy="40"/>
-    <geom type="plane" size=".2 .2 .01" rgba=".35 .4 .45 1"/>
-    <body name="thing" pos="0 0 .0161">
+    <geom type="plane" size=".2 .2 .01" rgba=".35 .4 .45 1" solref=".004 1" priority="1"/>
+    <body name="thing" pos="0 0 .016">
       <freejoint/>
       <geom type="ellipsoid" size=".0125 .0125 .016" rgba=".9 .85 .7 1" friction="0.5"/>
     </body>
