@@ -299,7 +299,7 @@ def distance_field(scene: Scene) -> DistanceField:
     # in whole steps, so that poses that differ a little share a grid
     begin = np.maximum(np.floor(corners.min(axis=0) / STEP_MM) * STEP_MM, first - MARGIN_MM)
     end = np.minimum(np.ceil(corners.max(axis=0) / STEP_MM) * STEP_MM, last + MARGIN_MM)
-    return _field(scene.object, stamp, tuple(begin), tuple(end))
+    return kept_field(scene.object, stamp, tuple(begin), tuple(end), spacing(scene.object))
 
 
 @lru_cache(maxsize=16)
@@ -310,19 +310,20 @@ def _extent(body: Body, stamp: tuple[int, ...]) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=16)
-def _field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...]) -> DistanceField:
+def kept_field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...], step: float) -> DistanceField:
+    """The field of an object over a box (its corners [mm]) in steps [mm]; of a file it is kept between runs. `stamp`: its `file_stamp`."""
     low, high = np.array(begin), np.array(end)
     if not shapes.of_file(body):
-        return sampled(exact_distance(body), low, high, spacing(body))
+        return sampled(exact_distance(body), low, high, step)
     surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
-    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, spacing(body)]).tobytes())
+    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, step]).tobytes())
     digest.update(surface.vertices.tobytes() + surface.faces.tobytes())
     path = cache_folder("fields") / f"{digest.hexdigest()[:32]}.npz"
     try:
         with np.load(path, allow_pickle=False) as kept:
             return DistanceField(kept["samples"], tuple(kept["origin"].tolist()), float(kept["spacing"]))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        field = sampled(exact_distance(body), low, high, spacing(body))
+        field = sampled(exact_distance(body), low, high, step)
     with contextlib.suppress(OSError), whole_file(path) as partial, partial.open("wb") as file:  # a cache that is full costs a second
         np.savez(file, samples=field.samples, origin=field.origin, spacing=field.spacing)
     return field

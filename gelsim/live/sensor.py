@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Layer, Values
+from gelsim.live.patch import ABOVE_LEAST, Patch
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import Grid
 from gelsim.optics.camera import marker_pixels
@@ -71,7 +73,7 @@ class LiveSensor:
 
         Args:
             scene: Its gel, contact, camera, lights, coating, markers and object count; its press does not.
-            image: Draw pictures, by the sensor's baked light; without them Mitsuba is not needed.
+            image: Draw a picture each step, by the sensor's baked light; without, Mitsuba is not needed until `image()` is called.
             device: "auto" | "cpu" | "cuda", of the pictures.
         Raises:
             SceneError: The object is not rigid, or the gel is viscous.
@@ -97,7 +99,9 @@ class LiveSensor:
         self._thinning = gel_layer.THINNING if self._friction else 0.0
         centres = marker_layout(scene).centres
         self._markers = np.column_stack([centres, gel_height(gel, centres)])
-        self._drawer = _Drawer(scene, device) if image else None
+        self._draws, self._device = image, device
+        if image:
+            _ = self._drawer  # measures the light now
         self.reset()
 
     def reset(self) -> None:
@@ -137,6 +141,39 @@ class LiveSensor:
             self._move(way, self._room(*way))
         self._move((turn, shift), last)
         return self._frame()
+
+    def image(self) -> NDArray[np.uint8]:
+        """The picture of the present state, 8-bit sRGB, shape (H, W, 3): for a loop that steps more often than it looks."""
+        return self._drawer.draw(self.displaced, self._spots())
+
+    def marker_pixels(self) -> Array:
+        """(column, row) of the marker centres in the present state [px], (K, 2); NaN outside the picture."""
+        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), self._spots())
+        return marker_pixels(self._scene, membrane)
+
+    @cached_property
+    def _drawer(self) -> _Drawer:
+        return _Drawer(self._scene, self._device)
+
+    def patch(self) -> Patch:
+        """The cells that touch, and how their forces go on over a small motion: for an implicit step of a simulator around the sensor."""
+        layer, touching = self._layer, self._pressure > 0
+        cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
+        p = self._pressure * np.float32(cell)
+        along = np.stack([p, np.zeros_like(p)])
+        total, sunk, dragged = (float(np.sum(a * b, dtype=float)) for a, b in ((p, 1.0), (p, layer.sunk(p)), (p, layer.dragged(along)[0])))
+        # (Σp)² / p·Ap: the answer to p in N as if it were kPa is in mm / (cell in N per kPa).
+        stiff = [ABOVE_LEAST * total**2 * cell / (work * MM) if total else 0.0 for work in (sunk, dragged)]
+        rows, columns = np.nonzero(touching)
+        return Patch(
+            np.column_stack([self.x[columns], self.y[rows], self._deep[touching] * MM]),
+            p[touching].astype(float),
+            (self._shear[:, touching].T * cell).astype(float),
+            self._slope[:, touching].T.astype(float),
+            self._friction,
+            stiff[0],
+            stiff[1] if self._friction else 0.0,
+        )
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
         """The farthest that a point in contact goes along the gel [mm]."""
@@ -209,17 +246,18 @@ class LiveSensor:
         traction = np.stack([*(self._shear + self._pressure * self._slope), -self._pressure]).astype(np.float64) * area
         x, y = np.meshgrid(self.x, self.y)
         arm = np.stack([x, y, self._deep * MM])
-        spots = self._markers + self.displaced(self._markers[:, :2])
-        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), spots)
-        image = self._drawer.draw(self.displaced, spots) if self._drawer else None
         return LiveFrame(
-            image,
+            self.image() if self._draws else None,
             (self._deep * MM).astype(np.float32),
-            marker_pixels(self._scene, membrane),
+            self.marker_pixels(),
             traction.sum(axis=(1, 2)),
             np.cross(arm, traction, axis=0).sum(axis=(1, 2)),
             self._pressure > 0,
         )
+
+    def _spots(self) -> Array:
+        """Where the markers are [m], (K, 3)."""
+        return self._markers + self.displaced(self._markers[:, :2])
 
     def displaced(self, places: Array) -> Array:
         """Displacements [m], (M, 3), of the material points of the surface that rest over places (M, 2) [m]."""

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from gelsim.fem.field import MARGIN_MM, DistanceField, exact_distance, sampled, spacing
+from gelsim.fem.field import MARGIN_MM, kept_field, spacing
 from gelsim.scene.definition import Body
 from gelsim.shape import shapes
+from gelsim.shape.mesh_file import file_stamp
 from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ class Underside:
     """Of one rigid object."""
 
     def __init__(self, body: Body) -> None:
-        """Samples its distance: a second or a few.
+        """Samples its distance: a second or a few, of a file once.
 
         Raises:
             SceneError: The shape makes no solid.
@@ -46,7 +47,7 @@ class Underside:
         vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
         low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
         step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
-        self._field: DistanceField = sampled(exact_distance(body), low, high, step)
+        self._field = kept_field(body, file_stamp(body), tuple(low), tuple(high), step)
         self._corners = vertices
         self._turn: Array | None = None
 

@@ -317,18 +317,30 @@ def video_fps(frames: int) -> int:
 
 
 def write_video(path: Path, frames: Sequence[Frame]) -> None:
+    """Writes the video of a press.
+
+    Raises:
+        OSError: ffmpeg failed.
+    """
+    encode_video(path, [frame.image for frame in frames], video_fps(len(frames)))
+
+
+def encode_video(path: Path, images: Sequence[NDArray[np.uint8]], fps: int) -> None:
     """Writes an MP4 that browsers play: H.264, 4:2:0, even sizes, index at the front.
 
+    Args:
+        images: 8-bit sRGB, (H, W, 3) each.
+        fps: Frames a second.
     Raises:
         OSError: ffmpeg failed.
     """
     import imageio_ffmpeg
 
-    images = [_even(frame.image) for frame in frames]
+    images = [_even(image) for image in images]
     height, width = images[0].shape[:2]
     command = [
         imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error",
-        "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", f"{width}x{height}", "-framerate", str(video_fps(len(frames))),
+        "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", f"{width}x{height}", "-framerate", str(fps),
         "-i", "-",
         "-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p", "-c:v", "libx264", "-crf", "14", "-threads", "2",
         "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-movflags", "+faststart", "-f", "mp4", str(path),

@@ -23,7 +23,10 @@ LAYERS = [
     {"cli"},
     {"__main__", "__init__"},
 ]
-HOMES = {"ray": "work", "pytetwild": "mesh", "warp": "fem", "mitsuba": "optics", "drjit": "optics", "torch": ""}
+HOMES = {
+    "ray": "work", "pytetwild": "mesh", "warp": "fem", "mitsuba": "optics", "drjit": "optics", "torch": "", "mujoco": "live",
+    "gymnasium": "live",
+}  # fmt: skip
 LEARN_MAY_USE = set().union(*LAYERS[:3]) | {"data", "__init__"}
 LEARN_DRAWS = ("learn.recordings", "gelsim.generate.darkroom")
 """The one way from the learner to the simulator, taken inside a function: only where a dataset has no pictures."""

@@ -63,7 +63,7 @@ def test_many_presses_are_the_presses_one_by_one(monkeypatch: pytest.MonkeyPatch
     scene, made = build_scene(BALL), []
     sampled = field.sampled
     monkeypatch.setattr(field, "sampled", lambda *each: (made.append(each), sampled(*each))[1])
-    field._field.cache_clear()
+    field.kept_field.cache_clear()
     poses = [{"offset_mm": [0.1, 0.05]}, {"press.offset_mm": [0.2, 0.1], "depth_mm": 0.2}]
     several = gelsim.press_many(scene, poses, device="cpu")
     assert len(made) == 1

@@ -1,0 +1,184 @@
+"""A two-finger gripper with a gel on each finger over a table, an egg to lift, and that as a Gymnasium environment.
+
+The fingers are coupled, as a parallel gripper's are. Both commands are speeds: of closing, and of the lift. What a policy sees is what
+such a gripper has: forces and markers of both gels, and its own joints; pictures on demand. How heavy the thing is it has to feel.
+
+Left out: an arm, cables, the time that a camera takes.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from compiled modules, whose types pyright does not know.
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gelsim.errors import SceneError
+from gelsim.live.mujoco import Pad, Touch, add_pad
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene
+
+GEL = {
+    "gel": {"profile": "flat", "youngs_modulus_kpa": 60.0},
+    "object": {"shape": "hemisphere", "rigid": True},  # in its place comes the model's
+    "contact": {"friction_coefficient": 0.5},
+}
+WORLD = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <visual><global offwidth="640" offheight="480"/><headlight diffuse=".5 .5 .5"/></visual>
+  <worldbody>
+    <light pos=".1 -.2 .4" dir="-.2 .4 -.8"/>
+    <camera name="view" pos=".03 -.22 .07" xyaxes="1 .13 0 -.02 .15 1" fovy="40"/>
+    <geom type="plane" size=".2 .2 .01" rgba=".35 .4 .45 1" solref=".004 1" priority="1"/>
+    <body name="thing" pos="0 0 .016">
+      <freejoint/>
+      <geom type="ellipsoid" size=".0125 .0125 .016" rgba=".9 .85 .7 1" friction="0.5"/>
+    </body>
+    <body name="hand" pos="0 0 .016" gravcomp="1">
+      <joint name="lift" type="slide" axis="0 0 1" range="0 .08" damping="1"/>
+      <geom type="box" size=".05 .008 .005" pos="0 0 .045" mass=".5" rgba=".3 .3 .3 1" contype="0" conaffinity="0"/>
+      <body name="left" pos="-.022 0 0" gravcomp="1">
+        <joint name="left" type="slide" axis="1 0 0" range="0 .015" damping="1"/>
+        <geom type="box" size=".003 .01 .02" pos="-.007 0 .02" mass=".1" rgba=".3 .3 .3 1" contype="0" conaffinity="0"/>
+      </body>
+      <body name="right" pos=".022 0 0" gravcomp="1">
+        <joint name="right" type="slide" axis="-1 0 0" range="0 .015" damping="1"/>
+        <geom type="box" size=".003 .01 .02" pos=".007 0 .02" mass=".1" rgba=".3 .3 .3 1" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="left" joint2="right" solref="0.004 1"/></equality>
+  <actuator>
+    <intvelocity name="close" joint="left" kp="4000" kv="60" actrange="0 .015" ctrlrange="-.02 .02"/>
+    <intvelocity name="lift" joint="lift" kp="8000" kv="200" actrange="0 .08" ctrlrange="-.05 .05"/>
+  </actuator>
+</mujoco>
+"""
+CONTROL_STEPS = 10
+"""Steps of the model to one of the environment: 20 ms."""
+CLOSING, LIFTING = 0.02, 0.05
+"""Speeds of the action ±1 [m/s]."""
+LIFTED = 0.03
+"""Height at which the thing counts as lifted [m]."""
+CRUSHED = 3.0
+"""Normal force that breaks it [N]."""
+MASSES = 0.01, 0.04
+"""Between which a reset draws the thing's mass [kg]."""
+EPISODE_STEPS = 200
+"""4 s."""
+
+
+def gripper(scene: Scene, mass: float) -> tuple[mujoco.MjModel, mujoco.MjData, Touch]:
+    """Model, state and pads "left" and "right" of a gripper around a quail's egg of some mass [kg]; actuators "close" and "lift" [m/s]."""
+    spec = mujoco.MjSpec.from_string(WORLD)
+    for side, turn in (("left", 0.5**0.5), ("right", -(0.5**0.5))):  # z of each gel points at the other
+        add_pad(spec, spec.body(side), f"{side}_pad", scene, against="thing", quat=(0.5**0.5, 0.0, turn, 0.0))
+    spec.body("thing").geoms[0].mass = mass
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    touch = Touch(model, data, [Pad(model, f"{side}_pad", "thing", scene) for side in ("left", "right")])
+    return model, data, touch
+
+
+class LiftEnv(gymnasium.Env):
+    """Lift an egg of unknown mass without breaking it.
+
+    Action: closing and lifting speed, (2,), of ±1: ±0.02 and ±0.05 m/s. Observation: "markers", their motion on both gels [px], (2, K, 2),
+    0 where one is out of the picture; "force", on both gels in their frames [N], (2, 3); "joints", closing of both fingers and height of
+    the hand [m], (2,); with `image` the pictures too, (2, H, W, 3). Reward: height gained [dm], and 1 where it is lifted or -1 where it
+    breaks, which both end an episode. `info["mass"]` [kg] is what the policy does not see.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+
+    def __init__(self, scene: Scene | None = None, *, image: bool = False, render_mode: str | None = None) -> None:
+        """Makes model and sensors.
+
+        Args:
+            scene: Of the gels; flat ones of 60 kPa with friction 0.5 by default.
+            image: Pictures in the observation; a sensor's first measures its light, a minute or two.
+            render_mode: None, or "rgb_array": `render()` draws the scene, which needs OpenGL.
+        """
+        self.model, self.data, self.touch = gripper(scene or build_scene(GEL), mass=MASSES[0])
+        self.render_mode, self._image = render_mode, image
+        self._thing = self.model.body("thing").id
+        self._rest = self._read()
+        self._renderer: mujoco.Renderer | None = None
+        shape = self._rest.shape
+        seen: dict[str, spaces.Space] = {
+            "markers": spaces.Box(-1e4, 1e4, shape, np.float32),
+            "force": spaces.Box(-1e3, 1e3, (2, 3), np.float32),
+            "joints": spaces.Box(-1.0, 1.0, (2,), np.float32),
+        }
+        if image:
+            seen["image"] = spaces.Box(0, 255, (2, *self.touch.pads[0].image().shape), np.uint8)
+        self.observation_space = spaces.Dict(seen)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        self.touch.reset()
+        mass = float(self.np_random.uniform(*MASSES))
+        self.model.body_inertia[self._thing] *= mass / self.model.body_mass[self._thing]
+        self.model.body_mass[self._thing] = mass
+        self._steps = 0
+        self.touch.step()
+        return self._seen(), self._info()
+
+    def step(self, action: NDArray) -> tuple[dict[str, NDArray], float, bool, bool, dict[str, Any]]:
+        before, broken = self._height(), False
+        self.data.ctrl[:] = np.clip(action, -1, 1) * (CLOSING, LIFTING)
+        for _ in range(CONTROL_STEPS):
+            try:
+                self.touch.step()
+            except SceneError:  # squeezed deeper than the gels answer for
+                broken = True
+                break
+        self._steps += 1
+        broken |= max(-pad.wrench[2] for pad in self.touch.pads) > CRUSHED
+        lifted = self._height() > LIFTED and not broken
+        reward = 10 * (self._height() - before) + lifted - broken
+        return self._seen(), float(reward), bool(broken or lifted), self._steps >= EPISODE_STEPS, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = mujoco.Renderer(self.model, 240, 320)
+        self._renderer.update_scene(self.data, "view")
+        return self._renderer.render()
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _height(self) -> float:
+        """Of the thing over where it rests [m]."""
+        return float(self.data.qpos[2] - self.model.qpos0[2])
+
+    def _read(self) -> NDArray:
+        """Marker centres of both gels now [px], (2, K, 2)."""
+        return np.stack([pad.sensor.marker_pixels() for pad in self.touch.pads])
+
+    def _seen(self) -> dict[str, NDArray]:
+        closing = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
+        seen: dict[str, NDArray] = {
+            "markers": np.nan_to_num(self._read() - self._rest).astype(np.float32),
+            "force": np.stack([pad.wrench[:3] for pad in self.touch.pads]).astype(np.float32),
+            "joints": np.array([closing, self.data.joint("lift").qpos[0]], np.float32),
+        }
+        if self._image:
+            seen["image"] = np.stack([pad.image() for pad in self.touch.pads])
+        return seen
+
+    def _info(self) -> dict[str, Any]:
+        return {"height": self._height(), "mass": float(self.model.body_mass[self._thing])}

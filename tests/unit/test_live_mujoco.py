@@ -1,0 +1,229 @@
+"""Live sensors inside MuJoCo: balance, rest, closed paths, small moves, random motion, and the gripper's environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+import mujoco
+
+from gelsim.errors import SceneError
+from gelsim.live.mujoco import Pad, Touch, add_pad
+from gelsim.live.patch import Patch
+from gelsim.scene.definition import Scene
+from gelsim.scene.layers import build_scene
+
+RADIUS = 0.004
+GRAVITY = 9.81
+
+
+def scene(friction: float) -> Scene:
+    return build_scene(
+        {
+            "gel": {"profile": "flat", "youngs_modulus_kpa": 60.0, "size_mm": [16.0, 16.0]},
+            "camera": {"field_mm": [12.0, 9.0]},
+            "object": {"shape": "hemisphere", "rigid": True},
+            "contact": {"friction_coefficient": friction},
+        }
+    )
+
+
+def world(friction: float, *, mass: float = 0.01, height: float = 0.0, free_pad: bool = False, step: float = 0.002) -> Touch:
+    """A ball over a gel that looks up, at a height [m] of its lowest point; gravity only if the gel is fixed."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = step
+    ball = spec.worldbody.add_body(name="ball", pos=[0, 0, RADIUS + height])
+    ball.add_freejoint()
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=mass)
+    holder = spec.worldbody.add_body(name="holder") if free_pad else spec.worldbody
+    if free_pad:
+        spec.option.gravity = [0, 0, 0]
+        holder.add_freejoint()
+        holder.add_geom(size=[RADIUS, 0, 0], pos=[0, 0, -0.02], mass=mass, contype=0, conaffinity=0)
+    add_pad(spec, holder, "pad", scene(friction), against="ball")
+    model = spec.compile()
+    return Touch(model, mujoco.MjData(model), [Pad(model, "pad", "ball", scene(friction))])
+
+
+def place(touch: Touch, x: float, y: float, z: float) -> float:
+    """Puts the ball's lowest point to a place in mm and asks the sensor there; the normal force on the gel [N], negative."""
+    touch.data.qpos[:3] = np.array([x, y, z]) * 1e-3 + [0, 0, RADIUS]
+    mujoco.mj_kinematics(touch.model, touch.data)
+    return float(touch.pads[0].sensor.step(touch.pads[0].pose(touch.data), 0.002).force[2])
+
+
+def exchange(touch: Touch) -> tuple[float, float, float]:
+    """A ball flung at a free gel: by how much all momentum and all angular momentum change over 30 steps, and the ball's momentum."""
+    model, data = touch.model, touch.data
+    data.qvel[:6] = [0.02, 0.01, -0.08, 0, 5, 0]
+    found = []
+    for _ in range(30):
+        touch.step()
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        ball = model.body("ball").id
+        sums = model.body_subtreemass[0] * data.subtree_linvel[0], data.subtree_angmom[0], model.body_mass[ball] * data.subtree_linvel[ball]
+        found.append([value.copy() for value in sums])
+    linear, angular, balls = (float(np.linalg.norm(last - first)) for first, last in zip(found[0], found[-1], strict=True))
+    return linear, angular, balls
+
+
+def test_forces_are_equal_and_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Momentum stays, but for what MuJoCo loses itself where a free body turns about another point than its middle (1e-4)."""
+    linear, angular, exchanged = exchange(world(0.5, free_pad=True, height=1e-4))
+    assert exchanged > 5e-4  # kg m/s: the ball has met the gel
+    assert linear < 1e-3 * exchanged
+    assert angular < 0.01 * exchanged * RADIUS
+    touch = world(0.5, free_pad=True)
+    place(touch, 0.2, 0.1, -0.3)
+    (gel, on_gel), (ball, on_ball) = touch.pads[0].levers(touch.data)
+    one, other = on_gel @ np.ones(6), on_ball @ np.ones(6)
+    about = [np.cross(touch.data.xipos[body], row[:3]) + row[3:] for body, row in ((gel, one), (ball, other))]
+    assert np.allclose(one[:3] + other[:3], 0, atol=1e-15) and np.allclose(about[0] + about[1], 0, atol=1e-15)
+    held = Pad.levers
+    half = lambda self, data: (held(self, data)[0], (self.object, 0.5 * held(self, data)[1][1]))  # noqa: E731
+    monkeypatch.setattr(Pad, "levers", half)  # planted
+    linear, _, exchanged = exchange(world(0.5, free_pad=True, height=1e-4))
+    assert linear > 0.1 * exchanged
+
+
+def test_a_ball_comes_to_rest_at_its_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within 2 %, in steps of 2 ms, and never as high again as it fell from; with an explicit force it still jumps."""
+
+    def fall() -> tuple[float, float]:
+        touch = world(0.5, mass=0.005, height=3e-4)
+        heights = [float(touch.data.qpos[2])]
+        for _ in range(300):
+            touch.step()
+            heights.append(float(touch.data.qpos[2]))
+        touched = int(np.argmin(heights))
+        weight = [touch.pads[0].frame.force[2]]  # type: ignore[union-attr]
+        for _ in range(20):
+            touch.step()
+            weight.append(touch.pads[0].frame.force[2])  # type: ignore[union-attr]
+        assert max(heights[touched:]) <= heights[0]
+        return float(np.abs(np.array(weight) / (-0.005 * GRAVITY) - 1).max()), float(np.ptp(heights[200:]))
+
+    off, moving = fall()
+    assert off < 0.02 and moving < 5e-6
+    wrench = Patch.wrench
+    monkeypatch.setattr(Patch, "wrench", lambda self, motion: wrench(self, 0 * motion))
+    monkeypatch.setattr(Patch, "stiffness", lambda self: np.zeros((6, 6)))
+    with pytest.raises(AssertionError):  # planted
+        off, moving = fall()
+        assert off < 0.02 and moving < 5e-6
+
+
+def test_a_closed_path_gains_no_energy() -> None:
+    """Frictionless, the ball led down, aside, up and back at 20 to 60 mm/s: the work left over is within 1 % of that done down."""
+    touch = world(0.0, mass=1e3, free_pad=False)
+    touch.model.opt.gravity[:] = 0
+    corners = np.array([[0, 0, -0.1], [0, 0, -0.6], [2, 1, -0.6], [2, 1, -0.3], [0, 0, -0.1]], float)
+    path = np.concatenate([np.linspace(one, two, 25)[:-1] for one, two in zip(corners, corners[1:], strict=False)] + [corners[-1:]])
+    forces = []
+    for now, after in zip(path, path[1:], strict=False):
+        touch.data.qpos[:3] = now * 1e-3 + [0, 0, RADIUS]
+        touch.data.qvel[:] = [*(after - now) * 1e-3 / 0.002, 0, 0, 0]
+        touch.step()
+        forces.append(touch.pads[0].wrench[:3].copy())  # of the step's end
+    forces = np.array(forces)
+    middle = np.concatenate([forces[:1], (forces[1:] + forces[:-1]) / 2])
+    work = (middle * np.diff(path, axis=0)).sum(axis=1)
+    assert work[:24].sum() > 0
+    assert abs(work.sum()) < 0.01 * work[:24].sum()
+    middle[47:, 2] *= 1.1  # planted: a way back that is stiffer
+    assert abs((middle * np.diff(path, axis=0)).sum()) > 0.01 * work[:24].sum()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_a_micrometre_changes_the_force_by_twice_its_stiffness_at_most(friction: float) -> None:
+    touch = world(friction)
+    for depth in (0.2, 0.5):
+        force = place(touch, 0, 0, -depth)
+        stiff = (place(touch, 0, 0, -depth - 0.02) - force) / -0.02
+        moves = np.random.default_rng(0).choice([-1e-3, 1e-3], 20).cumsum()
+        forces = np.array([place(touch, 0, 0, -depth - 0.02 + move) for move in moves])
+        assert np.abs(np.diff(forces)).max() < 2 * stiff * 1e-3
+        assert np.ptp(forces) > 0.5 * stiff * np.ptp(moves)  # it does answer
+
+
+def shaken(steps: int) -> tuple[float, float]:
+    """A ball on a gel, thrown about by random forces like its weight: share of the steps in touch, highest speed [m/s]."""
+    touch = world(0.5, mass=0.005)
+    rng, ball = np.random.default_rng(2), touch.model.body("ball").id
+    touch.model.dof_damping[3:6] = 2e-6
+    touched, fastest, push = 0, 0.0, np.zeros(3)
+    for step in range(steps):
+        if step % 25 == 0:
+            push = rng.normal(size=3) * [0.02, 0.02, 0.04]
+            touch.data.xfrc_applied[ball, 3:] = rng.normal(size=3) * 1e-6
+        # a soft spring to the middle of the gel keeps it there
+        touch.data.xfrc_applied[ball, :3] = push - 20 * (touch.data.qpos[:3] - [0, 0, RADIUS]) - 0.2 * touch.data.qvel[:3]
+        touch.step()
+        assert np.isfinite(touch.data.qpos).all() and np.isfinite(touch.pads[0].wrench).all()
+        touched += bool(touch.pads[0].wrench.any())
+        fastest = max(fastest, float(np.linalg.norm(touch.data.qvel[:3])))
+    return touched / steps, fastest
+
+
+@pytest.mark.parametrize("seconds", [0.4, pytest.param(3, marks=pytest.mark.slow)])
+def test_random_motion_stays_finite(seconds: float) -> None:
+    touched, fastest = shaken(round(500 * seconds))
+    assert touched > 0.2 and fastest < 1.0
+
+
+def test_bad_input_is_refused_in_one_line() -> None:
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><body name="ball"><freejoint/><geom size=".004"/></body><body name="bare"/>'
+        '<body name="hand"><geom size=".01"/><site name="pad"/></body></worldbody></mujoco>'
+    )
+    model = spec.compile()
+    with pytest.raises(SceneError, match=r'^site = "paw": the model has no such site; it has pad$'):
+        Pad(model, "paw", "ball", scene(0.0))
+    with pytest.raises(SceneError, match=r'^body = "bell": the model has no such body; it has world, ball, bare, hand$'):
+        Pad(model, "pad", "bell", scene(0.0))
+    with pytest.raises(SceneError, match=r'^body = "ball": MuJoCo\'s own contact with "hand" must be excluded'):
+        Pad(model, "pad", "ball", scene(0.0))
+    with pytest.raises(SceneError, match=r'^body = "bare": it has no geom that bounds a solid'):
+        Pad(model, "pad", "bare", scene(0.0))
+    touch = world(0.0)
+    touch.data.qpos[2] = RADIUS - 2e-3
+    with pytest.raises(SceneError, match=r"overlaps the gel by 1\.99 mm"):
+        touch.step()
+    assert touch.data.qpos[2] == RADIUS - 2e-3 and touch.data.time == 0  # nothing moved
+
+
+def test_a_bodys_geoms_are_its_shape() -> None:
+    """Each kind, turned and moved: the height of the underside is what the geom says."""
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><asset><mesh name="nut" file="hex_nut.stl" scale=".0004 .0004 .0004"/></asset><worldbody>'
+        '<body name="parts"><geom type="box" size=".002 .002 .001" pos="0 0 .001"/>'
+        '<geom type="capsule" size=".001 .002" euler="0 90 0" pos="0 0 .0005"/></body>'
+        '<body name="nut"><geom type="mesh" mesh="nut" pos="0 0 .01"/></body>'
+        '<body name="gel"><site name="pad"/></body></worldbody></mujoco>',
+        assets={"hex_nut.stl": (Path(__file__).parents[2] / "assets" / "meshes" / "hex_nut.stl").read_bytes()},
+    )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    parts = Pad(model, "pad", "parts", scene(0.0))
+    assert parts.pose(data)[:3] == pytest.approx([0, 0, -0.0005], abs=1e-5)  # the capsule's lowest line, R/400 off
+    nut = Pad(model, "pad", "nut", scene(0.0))
+    geom = model.body("nut").geomadr[0]
+    lowest = data.geom_xpos[geom][2] + (model.mesh_vert @ data.geom_xmat[geom].reshape(3, 3).T)[:, 2].min()
+    assert nut.pose(data)[2] == pytest.approx(lowest, abs=1e-6)
+
+
+def test_the_gripper_is_a_gymnasium_environment() -> None:
+    checker = pytest.importorskip("gymnasium.utils.env_checker")
+    from gelsim.live.gripper import LiftEnv
+
+    env = LiftEnv()
+    checker.check_env(env, skip_render_check=True)
+    _, info = env.reset(seed=1)
+    assert env.reset(seed=1)[1] == info != env.reset(seed=2)[1]
+    assert 0.01 < info["mass"] < 0.04
+    env.close()
