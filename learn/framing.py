@@ -8,12 +8,11 @@ A black border is found and cut off. Left out: finding the gel in other surround
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.calibrate.reading import Reader, check_corners
+from gelsim.data.corners import Corners, check_corners
 from gelsim.errors import SceneError
 from learn.config import LearnError
 from learn.frames import as_wide, averaged
@@ -83,19 +82,15 @@ class Framing:
             raise LearnError(f"--corners: one lies outside {name}, which is {width} x {height} px")
         from PIL import Image
 
-        reader = self._reader
-        coefficients = reader.homography.ravel()[:8].tolist()
-        upright = Image.fromarray(frame).transform(reader.upright, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
+        corners = Corners(self.corners, self.corners_mm)
+        coefficients = corners.homography.ravel()[:8].tolist()
+        upright = Image.fromarray(frame).transform(corners.size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
         return np.asarray(upright)
-
-    @property
-    def _reader(self) -> Reader:
-        return Reader(Path(), corners=self.corners, corners_mm=self.corners_mm)
 
     @property
     def scale(self) -> float | None:
         """Millimetres of a pixel of what is kept, None where it is not known."""
-        return self._reader.mm_per_px if self.corners_mm else self.mm_per_px
+        return self.mm_per_px if self.corners is None or self.corners_mm is None else Corners(self.corners, self.corners_mm).mm_per_px
 
     def outlined(self, frame: NDArray[np.uint8]) -> Framing:
         """With the black border of a frame (H, W, 3) cut off, where nothing says what to keep and there is one."""

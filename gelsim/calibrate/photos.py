@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.calibrate.dent import BALL
-from gelsim.calibrate.reading import SUFFIXES, Reader, check_corners
+from gelsim.calibrate.reading import SUFFIXES, Reader
+from gelsim.data.corners import Corners, check_corners
 from gelsim.errors import GelsimError, SceneError
 from gelsim.scene.definition import Body, Gel, Scene
 from gelsim.scene.fields import convert, field_types, nearest, parse_text
@@ -99,7 +100,8 @@ def read_photos(folder: Path) -> Photos:
     first = reader.levels(settings["no_contact"][0])
     height, width = first.shape[:2]
     rows = _rows(folder, reader, settings, {"col_px": width, "row_px": height})
-    reader.crop, reader.corners, reader.corners_mm = (settings.get(key) for key in ("crop_px", "corners_px", "corners_mm"))
+    reader.crop = settings.get("crop_px")
+    reader.corners = Corners(settings["corners_px"], settings.get("corners_mm")) if "corners_px" in settings else None
     if len(rows) + 1 > MOST_PHOTOS:
         raise SceneError(f"--photos {folder}: {len(rows) + 1} pictures; at most {MOST_PHOTOS} are taken")
     if width * height * (len(rows) + 1) > MOST_PIXELS:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.data.corners import Corners
 from gelsim.data.video import MOST_FRAMES, VIDEOS, video_frames, video_size
 from gelsim.errors import SceneError
 from gelsim.optics.isp import srgb_tone
@@ -36,16 +37,13 @@ class Reader:
     order: str = "rgb"
     crop: tuple[int, int, int, int] | None = None
     """Left, top, width and height [px] of what is kept."""
-    corners: Array | None = None
-    """(column, row) [px] of a rectangle's corners, clockwise from the top left, shape (4, 2)."""
-    corners_mm: tuple[float, float] | None = None
-    """Its width and height."""
+    corners: Corners | None = None
     _open: dict[Path, NDArray] = field(default_factory=dict)
 
     @property
     def mm_per_px(self) -> float | None:
         """Of the picture that is set upright by corners whose size is known."""
-        return self.corners_mm[0] / self.upright[0] if self.corners_mm else None
+        return self.corners.mm_per_px if self.corners else None
 
     def levels(self, name: str) -> Array:
         """Levels 0 … 255 on the sRGB scale, shape (H, W, 3).
@@ -65,7 +63,7 @@ class Reader:
     def place(self, point: Array) -> Array:
         """(column, row) of the photograph [px] as (column, row) of the picture that is worked with, shape (2,)."""
         if self.corners is not None:
-            moved = np.linalg.inv(self.homography) @ [*point, 1.0]
+            moved = np.linalg.inv(self.corners.homography) @ [*point, 1.0]
             return moved[:2] / moved[2]
         return point - self.crop[:2] if self.crop else point
 
@@ -151,7 +149,7 @@ class Reader:
     def _cut(self, levels: Array, name: str) -> Array:
         height, width = levels.shape[:2]
         if self.corners is not None:
-            for column, row in self.corners:
+            for column, row in self.corners.places:
                 if not (0 <= column <= width and 0 <= row <= height):
                     raise SceneError(f"corners_px: {column:g} {row:g} lies outside {name}, which is {width} x {height} px")
             return self._set_upright(levels)
@@ -163,49 +161,15 @@ class Reader:
             return levels[top : top + high, left : left + wide]
         return levels
 
-    @property
-    def upright(self) -> tuple[int, int]:
-        """Width and height of the rectangle [px]: as many pixels as the longer of its sides has in the photograph."""
-        assert self.corners is not None
-        sides = np.hypot(*(np.roll(self.corners, -1, axis=0) - self.corners).T)
-        wide, high = (sides[0] + sides[2]) / 2, (sides[1] + sides[3]) / 2
-        if self.corners_mm:
-            per_mm = max(wide / self.corners_mm[0], high / self.corners_mm[1])
-            wide, high = (per_mm * side for side in self.corners_mm)
-        return int(round(wide)), int(round(high))
-
-    @property
-    def homography(self) -> Array:
-        """From the upright picture to the photograph, (3, 3)."""
-        assert self.corners is not None
-        wide, high = self.upright
-        rows, wanted = [], []
-        for (x, y), (u, v) in zip([(0, 0), (wide, 0), (wide, high), (0, high)], self.corners, strict=True):
-            rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-            wanted += [u, v]
-        return np.append(np.linalg.solve(np.array(rows, float), np.array(wanted)), 1.0).reshape(3, 3)
-
     def _set_upright(self, levels: Array) -> Array:
         from scipy.ndimage import map_coordinates
 
-        wide, high = self.upright
+        assert self.corners is not None
+        wide, high = self.corners.size
         row, column = np.mgrid[:high, :wide] + 0.5
-        x, y, w = np.einsum("ij,jhw->ihw", self.homography, np.stack([column, row, np.ones_like(row)]))
+        x, y, w = np.einsum("ij,jhw->ihw", self.corners.homography, np.stack([column, row, np.ones_like(row)]))
         at = np.stack([y / w - 0.5, x / w - 0.5])
         return np.stack([np.clip(map_coordinates(levels[..., c], at, order=3, mode="nearest"), 0, 255) for c in range(3)], axis=-1)
-
-
-def check_corners(corners: Array, where: str) -> None:
-    """Raises SceneError: these four do not enclose an area, clockwise from the top left."""
-    sides = np.roll(corners, -1, axis=0) - corners
-    turns = sides[:, 0] * np.roll(sides, -1, axis=0)[:, 1] - sides[:, 1] * np.roll(sides, -1, axis=0)[:, 0]
-    if (turns > 0).all() and np.hypot(*sides.T).min() >= SIDE[0]:
-        return
-    said = " ".join(f"({column:g}, {row:g})" for column, row in corners)
-    if (turns > 0).all():
-        raise SceneError(f"{where} {said}: a side is shorter than {SIDE[0]} px")
-    problem = "run the other way round" if (turns < 0).all() else "cross, or enclose no convex area"
-    raise SceneError(f"{where} {said}: these corners {problem}; give top left, top right, bottom right, bottom left")
 
 
 def _number(text: str, count: int, where: Path) -> int:
