@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from manifold3d import CrossSection, FillRule, Manifold, OpType
+from manifold3d import CrossSection, FillRule, JoinType, Manifold, OpType
 from matplotlib.textpath import TextPath
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -54,7 +54,7 @@ def plate(outline: CrossSection, height: float, rounding: float) -> Manifold:
     angle = np.radians([0, 20, 40, 60, 90])
     steps = rounding * np.stack([1 - np.cos(angle), 1 - np.sin(angle)], 1)
     return joined(
-        [outline.offset(-inset, circular_segments=ROUND).extrude(height - 2 * lift).translate((0, 0, lift)) for inset, lift in steps]
+        [outline.offset(-inset, JoinType.Miter).extrude(height - 2 * lift).translate((0, 0, lift)) for inset, lift in steps]
     )
 
 
