@@ -170,8 +170,7 @@ def letters() -> Manifold:
 
 
 def words() -> Manifold:
-    lines = [text(line, 2.2, 0, y) for line, y in (("what a gel sees", 3.2), ("of small print", 0), ("2 mm high", -3.2))]
-    return plate(bar(20, 12), 2, 0.3) + joined([line.extrude(1.4) for line in lines]).translate((0, 0, 1))
+    return plate(bar(18, 12), 2, 0.3) + text("gelsim", 4.5).extrude(1).translate((0, 0, 1.6))
 
 
 def gear() -> Manifold:

@@ -53,7 +53,8 @@ BAND = 3.0
 """Spacings beyond the support of a spline within which samples are exact."""
 KINKED = 0.1
 """Δφ · spacing above which a sample is the mean over its cell."""
-CELL = np.stack(np.meshgrid(*[[-1 / 3, 0.0, 1 / 3]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+CELL = np.stack(np.meshgrid(*[[-(12**-0.5), 12**-0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+"""Gauss points of a cell; 27 evenly spread ones are no better (docs/decisions/0004-rigid-objects-are-fields.md)."""
 SHARPEST_MM = 0.04
 """Rim radius of an object that is to have none: a finer grid of a whole part does not pay."""
 CUBES_MM = 0.4, 0.1
@@ -310,7 +311,7 @@ def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], s
 # ---------------------------------------------------------------------------------------------------------------- of a press
 STEP_MM = 0.5
 """Of the corners of the grid's box."""
-_SCHEMA = 1
+_SCHEMA = 2
 """Of kept fields: raised where the same shape is sampled differently."""
 MARGIN_MM = 0.6
 """Of the grid around the part of the object that the gel may come to."""
