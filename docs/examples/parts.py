@@ -53,9 +53,7 @@ def plate(outline: CrossSection, height: float, rounding: float) -> Manifold:
     """From z = 0 up, its edges rounded, in steps too small to be felt."""
     angle = np.radians([0, 20, 40, 60, 90])
     steps = rounding * np.stack([1 - np.cos(angle), 1 - np.sin(angle)], 1)
-    return joined(
-        [outline.offset(-inset, JoinType.Miter).extrude(height - 2 * lift).translate((0, 0, lift)) for inset, lift in steps]
-    )
+    return joined([outline.offset(-inset, JoinType.Miter).extrude(height - 2 * lift).translate((0, 0, lift)) for inset, lift in steps])
 
 
 def turned(outline: ArrayLike) -> Manifold:
@@ -90,8 +88,8 @@ def joined(parts: Sequence[Manifold]) -> Manifold:
 
 
 def around(count: int) -> Array:
-    """Angles evenly around a circle."""
-    return 2 * np.pi * np.arange(count) / count
+    """Angles [degrees] evenly around a circle."""
+    return 360 * np.arange(count) / count
 
 
 def triangle_wave(turns: Array) -> Array:
@@ -169,7 +167,7 @@ def letters() -> Manifold:
     return plate(bar(18, 12), 2, 0.3) + plate(text("GEL", 8.5), 2, 0.3).translate((0, 0, 1))
 
 
-def words() -> Manifold:
+def small_print() -> Manifold:
     return plate(bar(18, 12), 2, 0.3) + text("gelsim", 4.5).extrude(1).translate((0, 0, 1.6))
 
 
@@ -181,10 +179,8 @@ def gear() -> Manifold:
     reach = base * np.hypot(1, roll)
     flank = np.stack([np.r_[3, reach, reach[::-1], 3], np.r_[half[0], half, -half[::-1], -half[0]]])
     tooth = polygon((flank[0] * [np.cos(flank[1]), np.sin(flank[1])]).T[::-1])
-    outline = CrossSection.batch_boolean(
-        [tooth.rotate(np.degrees(a)) for a in around(teeth)] + [disc((teeth / 2 - 1.25) * module)], OpType.Add
-    )
-    holes = CrossSection.compose([disc(0.9, *(3.3 * np.array([np.cos(a), np.sin(a)]))) for a in around(6)])
+    outline = CrossSection.batch_boolean([tooth.rotate(a) for a in around(teeth)] + [disc((teeth / 2 - 1.25) * module)], OpType.Add)
+    holes = CrossSection.compose([disc(0.9, 3.3).rotate(a) for a in around(6)])
     return plate(outline - holes - (disc(1.5) + bar(0.9, 0.9, 0, 1.6)), 3, 0.12)
 
 
@@ -220,10 +216,9 @@ def spring() -> Manifold:
     return wire(np.stack([2.2 * angle / (2 * np.pi), 3.5 * np.sin(angle), -3.5 * np.cos(angle)], 1), 0.6)
 
 
-def chain() -> Manifold:
-    turn = np.linspace(0, 2 * np.pi, 33)
-    link = wire(np.stack([1.6 * np.cos(turn) + 1.3 * np.sign(np.cos(turn)), 1.6 * np.sin(turn), 0 * turn], 1), 0.55)
-    return joined([link.rotate((45 + 90 * (i % 2), 0, 0)).translate((4.6 * i, 0, 0)) for i in range(-2, 3)])
+def wrench() -> Manifold:
+    jaw = disc(5.4 / np.sqrt(3), corners=6).rotate(30) + bar(7, 5.4, 3.5)
+    return plate((disc(5.6, 2.5) + bar(14, 4.5, -5)) - jaw.rotate(15).translate((3, 0)), 3, 0.25)
 
 
 def rope() -> Manifold:
@@ -236,7 +231,7 @@ def rope() -> Manifold:
         yarns = rod(lambda angle, z: 1.5 + 0.12 * np.abs(np.cos(4 * angle + 2 * np.pi * z / 5)), 18, 0.4)
         return bent(yarns, 1.0, move)
 
-    return joined([strand(phase) for phase in around(3)])
+    return joined([strand(np.radians(phase)) for phase in around(3)])
 
 
 def clip() -> Manifold:
@@ -250,12 +245,12 @@ def clip() -> Manifold:
 
 def bearing() -> Manifold:
     cage = plate(disc(6.5, corners=2 * ROUND) - disc(2.6), 1.6, 0.2)
-    balls = [Manifold.sphere(1.35, ROUND).translate((4.5 * np.cos(a), 4.5 * np.sin(a), 0.8)) for a in around(9)]
+    balls = [Manifold.sphere(1.35, ROUND).translate((4.5, 0, 0.8)).rotate((0, 0, a)) for a in around(9)]
     return joined([cage, *balls])
 
 
 def washer() -> Manifold:
-    teeth = [plate(bar(2.2, 1.5), 0.9, 0.15).rotate((25, 0, 0)).translate((5.2, 0, 0)).rotate((0, 0, np.degrees(a))) for a in around(12)]
+    teeth = [plate(bar(2.2, 1.5), 0.9, 0.15).rotate((25, 0, 0)).translate((5.2, 0, 0)).rotate((0, 0, a)) for a in around(12)]
     return joined([plate(disc(4.6) - disc(3.1), 0.9, 0.15), *teeth])
 
 
@@ -287,8 +282,8 @@ def braille() -> Manifold:
 
 PARTS: dict[str, Callable[[], Manifold]] = {
     "screw": screw, "nut": nut, "thread": thread, "knurl": knurl, "drill": drill, "jack plug": jack,
-    "key": key, "coin": coin, "brick": brick, "letters": letters, "small print": words, "gear": gear,
-    "leaf": leaf, "weave": weave, "spring": spring, "chain": chain, "rope": rope, "clip": clip,
+    "key": key, "coin": coin, "brick": brick, "letters": letters, "small print": small_print, "gear": gear,
+    "leaf": leaf, "weave": weave, "spring": spring, "wrench": wrench, "rope": rope, "clip": clip,
     "bearing": bearing, "washer": washer, "button": button, "die": die, "golf ball": golf_ball, "braille": braille,
 }  # fmt: skip
 
