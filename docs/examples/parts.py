@@ -228,10 +228,10 @@ def rope() -> Manifold:
             points[:, 1:] += 1.5 * np.stack([np.cos(angle), np.sin(angle)], 1)
             return points
 
-        yarns = rod(lambda angle, z: 1.5 + 0.12 * np.abs(np.cos(4 * angle + 2 * np.pi * z / 5)), 18, 0.4)
+        yarns = rod(lambda angle, z: 1.6 + 0.12 * np.abs(np.cos(4 * angle + 2 * np.pi * z / 5)), 20, 0.4)
         return bent(yarns, 1.0, move)
 
-    return joined([strand(np.radians(phase)) for phase in around(3)])
+    return joined([strand(np.radians(phase)) for phase in around(3) + 90]) ^ Manifold.cube((18, 9, 9), True)
 
 
 def clip() -> Manifold:
@@ -239,8 +239,8 @@ def clip() -> Manifold:
         angle = np.radians(start) - np.linspace(0, np.pi, 16)
         return np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle), 0 * angle], 1)
 
-    bends = arc(4, -0.25, 1.75, 90), arc(-5, 0.25, 2.25, -90), arc(5.5, -0.25, 2.75, 90)
-    return wire(np.vstack([(-3, 1.5, 0), *bends, (-3, -3, 0)]), 0.5)
+    bends = arc(4, 0, 1.2, 90), arc(-5, 0.65, 1.85, -90), arc(5.5, 0, 2.5, 90)
+    return wire(np.vstack([(-3, 1.2, 0), *bends, (-3, -2.5, 0)]), 0.4)
 
 
 def bearing() -> Manifold:
@@ -290,8 +290,8 @@ PARTS: dict[str, Callable[[], Manifold]] = {
 
 # ------------------------------------------------------------------------------------------------ files and pictures
 def write(name: str, folder: Path) -> Path:
-    """The part as an STL file."""
-    solid = PARTS[name]().to_mesh64()
+    """The part as an STL file, whose single precision cannot tell slivers apart."""
+    solid = PARTS[name]().simplify(1e-3).to_mesh64()
     path = folder / f"{name.replace(' ', '_')}.stl"
     path.parent.mkdir(parents=True, exist_ok=True)
     trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts).export(path)
