@@ -258,19 +258,21 @@ def button() -> Manifold:
     angle = np.linspace(-90, 90, 13)
     rim = np.stack([5.4 + 1.1 * np.cos(np.radians(angle)), 1.2 + 1.1 * np.sin(np.radians(angle))], 1)
     holes = joined([Manifold.cylinder(4, 0.8).translate((x, y, -1)) for x in (-1.3, 1.3) for y in (-1.3, 1.3)])
-    return turned([(0, 0.1), *rim, (4.4, 1.9), (0, 1.6)]) - holes
+    return turned([(0, 0.1), *rim, (4.4, 2.1), (0, 2.1)]) - holes
 
 
 def die() -> Manifold:
     pips = [Manifold.sphere(1.4, ROUND).translate((x, y, 11.8)) for x, y in ((0, 0), (3, 3), (3, -3), (-3, 3), (-3, -3))]
-    return plate(bar(11, 11), 11, 1.2) - joined(pips)
+    return plate(bar(11, 11), 11, 0.4) - joined(pips)
 
 
 def golf_ball() -> Manifold:
-    count = np.arange(160)
-    z, angle = 1 - (2 * count + 1) / 160, np.pi * (1 + np.sqrt(5)) * count
-    places = 9.6 * np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], 1)
-    return Manifold.sphere(9, 3 * ROUND) - joined([Manifold.sphere(1.2, 2 * ROUND // 3).translate(place) for place in places])
+    """Its top, of 43 mm across with 336 dimples."""
+    count = np.arange(50)
+    z, angle = 1 - (2 * count + 1) / 336, np.pi * (1 + np.sqrt(5)) * count
+    places = 27.65 * np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], 1)
+    ball = Manifold.sphere(21.3, 6 * ROUND) - joined([Manifold.sphere(6.6, 3 * ROUND).translate(place) for place in places])
+    return ball ^ Manifold.cylinder(30, 9.5, circular_segments=2 * ROUND)
 
 
 def braille() -> Manifold:
