@@ -14,6 +14,7 @@ docs/datasets.md has the fields.
 
 from __future__ import annotations
 
+import html
 import io
 import json
 import tarfile
@@ -101,6 +102,20 @@ class Dataset:
         path = self._path(position)
         return read_members(path, [name])[name]
 
+    def _repr_html_(self) -> str:
+        """For notebooks: how many presses, their splits, and by shape what was pressed how hard."""
+        splits = ", ".join(f"{name} {len(members)}" for name, members in self.splits.items() if members)
+        frames = sum(row["frames"] for row in self.rows)
+        lines = ["<tr><th>shape</th><th>presses</th><th>Shore 00</th><th>peak force [N]</th></tr>"]
+        for shape in sorted({row["shape"] for row in self.rows}):
+            rows = [row for row in self.rows if row["shape"] == shape]
+            cells = shape, len(rows), *(_span(row[name] for row in rows) for name in ("shore_00", "peak_force_n"))
+            lines.append("<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in cells) + "</tr>")
+        told = html.escape(
+            f"{self.folder}: {len(self)} presses, {frames} frames, failures: {len(self.failures)}; splits: {splits or 'none'}"
+        )
+        return f"<div>{told}<table>{''.join(lines)}</table></div>"
+
     def _path(self, position: int) -> Path:
         return self.folder / self.rows[position]["file"]
 
@@ -115,6 +130,11 @@ def load_dataset(path: str | Path) -> Dataset:
     if not (folder / "meta" / "info.json").is_file():
         raise DatasetError(f"{folder}: is no dataset (it has no meta/info.json)")
     return Dataset(folder)
+
+
+def _span(values: Iterable[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return f"{min(known):.3g} to {max(known):.3g}" if known else "unknown"
 
 
 # ---- one episode ----

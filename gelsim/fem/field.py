@@ -53,9 +53,12 @@ BAND = 3.0
 """Spacings beyond the support of a spline within which samples are exact."""
 KINKED = 0.1
 """Δφ · spacing above which a sample is the mean over its cell."""
-CELL = np.stack(np.meshgrid(*[[-1 / 3, 0.0, 1 / 3]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+CELL = np.stack(np.meshgrid(*[[-(12**-0.5), 12**-0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+"""Gauss points of a cell; 27 evenly spread ones are no better (docs/decisions/0004-rigid-objects-are-fields.md)."""
 SHARPEST_MM = 0.04
 """Rim radius of an object that is to have none: a finer grid of a whole part does not pay."""
+CUBES_MM = 0.4, 0.1
+"""Points in one such cube are asked together which side of a surface of triangles they are on."""
 PER_RADIUS = 8
 """Spacings in the radius R of what is round by its shape: what is not taken back of a ball's shrinking, spacing²/3R · (2 spacing/R)², is
 then 0.03 % of R."""
@@ -208,6 +211,14 @@ def signed_distances(mesh: wp.uint64, points: wp.array(dtype=wp.vec3d), centre: 
     found[i] = wp.float64(query.sign) * wp.length(points[i] - near)
 
 
+@wp.kernel(enable_backward=False)
+def distances(mesh: wp.uint64, points: wp.array(dtype=wp.vec3d), centre: wp.vec3d, reach: float, found: wp.array(dtype=wp.float64)):
+    i = wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(points[i] - centre), reach)
+    near = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v)) + centre
+    found[i] = wp.length(points[i] - near)
+
+
 # ---------------------------------------------------------------------------------------------------------------- shapes
 def exact_distance(body: Body) -> Distance:
     """The signed distance [mm] to an object's exact surface, of points (N, 3) [mm] in its frame."""
@@ -223,13 +234,38 @@ def exact_distance(body: Body) -> Distance:
     )
     reach = float(np.linalg.norm(np.ptp(vertices, axis=0))) * 2.0
 
-    def distance(points: Array) -> Array:
-        found = wp.zeros(len(points), dtype=wp.float64, device="cpu")
+    def found(kernel: wp.Kernel, points: Array) -> Array:
+        values = wp.zeros(len(points), dtype=wp.float64, device="cpu")
         places = wp.array(points, dtype=wp.vec3d, device="cpu")
-        wp.launch(signed_distances, len(points), [triangles.id, places, wp.vec3d(*centre), reach, found], device="cpu")
-        return found.numpy()
+        wp.launch(kernel, len(points), [triangles.id, places, wp.vec3d(*centre), reach, values], device="cpu")
+        return values.numpy()
+
+    def distance(points: Array) -> Array:
+        away = found(distances, points)
+        return away * _signs(points, away, lambda places: np.sign(found(signed_distances, places)))
 
     return distance
+
+
+def _signs(points: Array, away: Array, asked: Distance) -> Array:
+    """The sign at points that are so far `away` from a surface, asked of few of them: a winding number costs as much as seven distances.
+
+    Two points that are nearer to each other than the sum of their distances have no surface between them.
+    """
+    signs, left = np.zeros(len(points)), np.argsort(-away)  # the farthest first, so that it speaks for its cube
+    low = points.min(axis=0)
+    for edge in CUBES_MM:
+        place = ((points[left] - low) / edge).astype(np.int64)
+        cubes = np.ravel_multi_index(place.T, (np.ptp(points, axis=0) / edge).astype(np.int64) + 1)
+        _, first, cube = np.unique(cubes, return_index=True, return_inverse=True)
+        far = left[first]
+        sign = asked(points[far])
+        apart = np.linalg.norm(points[left] - points[far[cube]], axis=1)
+        alike = apart < 0.999 * (away[left] + away[far[cube]])
+        signs[left[alike]] = sign[cube[alike]]
+        left = left[~alike]
+    signs[left] = asked(points[left])
+    return signs
 
 
 def sampled(distance: Distance, low: Array, high: Array, spacing: float) -> DistanceField:
@@ -275,7 +311,7 @@ def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], s
 # ---------------------------------------------------------------------------------------------------------------- of a press
 STEP_MM = 0.5
 """Of the corners of the grid's box."""
-_SCHEMA = 1
+_SCHEMA = 2
 """Of kept fields: raised where the same shape is sampled differently."""
 MARGIN_MM = 0.6
 """Of the grid around the part of the object that the gel may come to."""

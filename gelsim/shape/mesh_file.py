@@ -3,8 +3,8 @@
 A surface bounds a body where every edge is passed as often one way as the other: two faces an edge, or four where two boxes share one. The
 rest are open edges. A rigid object needs the surface that touches alone: what is missing is closed, so that the winding number tells inside
 from outside everywhere. A hole gets a fan of triangles to its middle; where what is missing faces away from the gel, as the back of a scan,
-walls go up from the rim to a lid. Without that a sheet's winding number is ½ on neither side (tests/unit/test_mesh_file.py measures it). A
-soft object is closed, by fans, only when `object.mesh_repair` asks for it.
+walls go up from the rim to a lid; of a bare sheet the side that the gel sees is the outside. Without that a sheet's winding number is ½ on
+neither side (tests/unit/test_mesh_file.py measures it). A soft object is closed, by fans, only when `object.mesh_repair` asks for it.
 
 Only geometry is read: no material, texture or other file that the mesh names is opened, and nothing in it is run.
 
@@ -45,8 +45,10 @@ _COMPARED = 100, 500_000
 """Bodies and faces above which it is not asked how bodies lie to each other: it would take more than some seconds."""
 _SHARED = 1e-3
 """Share of the volume that bodies may have in common by rounding and still only touch."""
-_SHEET = 0.1
-"""Share of the surface that may be missing for the sign of the volume to tell outside from inside; of more, the faces' own sides count."""
+_SCAN = 0.1
+"""Share of the surface that may be missing for what fans enclose to tell outside from inside; of more, what walls and lid enclose tells."""
+_SHEET = 0.7
+"""Share from which on nothing is behind the surface (of half a ball ½ is missing): the side that the gel sees is the outside."""
 _LID = 0.5
 """Height of the lid above the highest point over the largest extent."""
 _AWAY = 0.5
@@ -128,7 +130,13 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
             f"{named} is not closed ({rims.edges} open edges, holes: {len(rims.missing)}); allowed for a soft object is a closed "
             "surface; object.mesh_repair = true closes it by fans of triangles, and object.rigid = true presses it as it is"
         )
-    if missing < _SHEET * area and _volume(*rims.closed(False)) < 0.0:
+    sheet = body.rigid and missing > _SHEET * area
+    if sheet:
+        inside_out = rims.missing[:, 2].sum() < 0.0
+        notes += [f"{named}: its faces look away from the gel, and nothing is behind them: their back is pressed"] if inside_out else []
+    else:
+        inside_out = _volume(*rims.closed(body.rigid and missing > _SCAN * area)) < 0.0
+    if inside_out:
         faces = faces[:, ::-1]
         rims = _Rims(vertices, faces)
         done["turned_inside_out"] = True

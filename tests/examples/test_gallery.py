@@ -11,7 +11,11 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from gelsim.scene.definition import Body
+from gelsim.shape.mesh_file import read_part
 
 LARGEST = 150_000
 """Bytes of a picture that an example of the gallery made (the README's two are larger, and older)."""
@@ -77,6 +81,24 @@ def test_shear_markers(repository: Path, tmp_path: Path) -> None:
 def test_slide_and_release(repository: Path, tmp_path: Path) -> None:
     pressed, sticks, slips, slides, gone = quick(repository, "slide_and_release", tmp_path / "a.jpg").values()
     assert pressed == 0.0 and 0.0 < sticks < slips < 1.0 and slides == 1.0 and gone == 0.0
+
+
+def test_parts_are_whole_and_fit_the_gel(repository: Path, tmp_path: Path) -> None:
+    parts = runpy.run_path(str(repository / "docs" / "examples" / "parts.py"))
+    assert len(parts["PARTS"]) >= 20
+    for name in parts["PARTS"]:
+        body = Body(shape="mesh", mesh=str(parts["write"](name, tmp_path)), press_side="top", rigid=True)
+        part = read_part(body)
+        assert part.done["open_edges"] == 0 and part.notes == (), name
+        assert (np.ptp(part.surface.vertices, axis=0)[:2] < [25.4e-3, 20.8e-3]).all(), name  # of a Mini's gel
+
+
+@pytest.mark.slow
+def test_parts(repository: Path, tmp_path: Path) -> None:
+    """The first of them, through a command line."""
+    main = runpy.run_path(str(repository / "docs" / "examples" / "parts.py"))["main"]
+    (seconds,) = main(quick=True, path=tmp_path / "a.jpg", folder=tmp_path).values()
+    assert seconds > 0 and (tmp_path / "a.jpg").stat().st_size > 1000
 
 
 @pytest.mark.slow

@@ -115,17 +115,19 @@ def test_a_rigid_part_with_a_hole_is_pressed_and_the_hole_is_said(tmp_path: Path
     assert record.meshes["file"]["open_edges"] >= 4
 
 
-def test_an_open_scan_has_an_inside(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("side", "sign"), [("bottom", 1.0), ("top", -1.0)])
+def test_an_open_scan_has_an_inside(side: str, sign: float, tmp_path: Path) -> None:
     """The winding number of the sheet itself has the wrong sign at up to all points within (half a turn at most); closed, at none."""
     from gelsim.fem.field import exact_distance
 
     relief(tmp_path / "scan.stl")
-    body = rigid(tmp_path / "scan.stl")
+    body = rigid(tmp_path / "scan.stl", press_side=side)
+    assert ("their back is pressed" in " ".join(read_part(body).notes)) == (side == "top")
     distance, low = exact_distance(body), load_mesh(body).vertices[:, 2].min() * 1e3
     rng = np.random.default_rng(0)
     xy = rng.uniform(-6, 6, (2000, 2))
     apex = np.array(read_part(body).done["apex_mm"])
-    height = 0.3 * np.cos(xy[:, 0]) * np.cos(xy[:, 1])
+    height = sign * 0.3 * np.cos(xy[:, 0]) * np.cos(xy[:, 1])
     assert low == 0.0
     for above in (-0.2, -0.02, 0.02, 0.2, 2.0):
         found = distance(np.column_stack([xy, height + above]) - apex)
@@ -133,6 +135,20 @@ def test_an_open_scan_has_an_inside(tmp_path: Path) -> None:
         assert (np.abs(found) <= abs(above) + 5e-3).all()  # no farther than straight up or down
     press = pressed(body)
     assert press.converged.all() and press.penetration.max() < 20e-6
+
+
+def test_a_bowl_scanned_from_within_is_pressed_by_its_bottom(tmp_path: Path) -> None:
+    """Half a ball, its faces inward, so that its volume is negative; of half a ball half as much is missing as is there."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
+    ball.update_faces(ball.triangles_center[:, 2] < 0)
+    ball.invert()
+    ball.export(tmp_path / "bowl.stl")
+    part = read_part(rigid(tmp_path / "bowl.stl"))
+    assert part.done["turned_inside_out"] and enclosed_volume(part.surface) > 2 / 3 * np.pi * 5.0**3 * 1e-9
+    with pytest.raises(SceneError, match="encloses"):  # it stands on its rim
+        scan = tmp_path / "scan.stl"
+        relief(scan)
+        read_part(rigid(scan, press_side="left"))
 
 
 def test_a_hole_in_what_touches_is_said(tmp_path: Path) -> None:
