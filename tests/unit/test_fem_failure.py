@@ -311,10 +311,10 @@ def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> Non
     assert whole.force[:2] == pytest.approx(begun.force), "what was recorded before stays"
     alone = run_press(made_sticky(points))
     off = np.abs(whole.force - alone.force).max(axis=1)[1:] / np.abs(alone.force[1:, 2])
-    # The first one is what the two ways differ by. A third of the shear was there when the points changed, 7 % of the next state's normal
-    # force: what sticks keeps its places. (Found: 0.007, then at most 0.002.)
+    # The first one is what the two ways differ by. A fifth of the shear was there when the points changed, 4 % of the next state's normal
+    # force: what sticks keeps its places. (Found: 0.003, then at most 0.002.)
     assert off[0] < 0.02 and off[1:].max() < off[0]
-    assert alone.force[1, 0] > 0.25 * alone.force[-1, 0] and alone.force[1, 0] > 5 * off[0] * -alone.force[2, 2]
+    assert alone.force[1, 0] > 0.2 * alone.force[-1, 0] and alone.force[1, 0] > 5 * off[0] * -alone.force[2, 2]
     energy = whole.info["energy"]
     assert isinstance(energy, dict) and abs(energy["drift"]) < 0.01  # found: 0.001
 
@@ -334,7 +334,7 @@ def test_a_step_that_jumps_to_another_branch_is_told(monkeypatch: pytest.MonkeyP
 
     def told() -> list[str]:
         scene = build_scene({
-            "fidelity": "fast", "object": {"shape": "punch", "radius_mm": 3.0, "rigid": True},
+            "fidelity": "fast", "object": {"shape": "punch", "radius_mm": 3.0, "rigid": True, "edge_radius_mm": 0.2},
             "press": {"depth_mm": 0.5, "force_n": "none", "frames": 6, "symmetry": "mirror"}, "contact": {"friction_coefficient": 0.0},
         })  # fmt: skip
         press = run_press(PressProblem(scene, *stages.bodies(scene), gel_material(scene), object_material(scene), "cpu"))
