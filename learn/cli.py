@@ -222,12 +222,13 @@ def _predict(options: argparse.Namespace) -> int:
     import numpy as np
 
     from learn import predict
-    from learn.framing import Framing
+    from learn.framing import CORNERS_MM, Corners, Framing
 
+    if options.corners_mm and not options.corners:
+        raise LearnError(CORNERS_MM)
     framing = Framing(
-        crop=None if options.crop is None else tuple(options.crop),
-        corners=None if options.corners is None else np.reshape(options.corners, (4, 2)),
-        corners_mm=None if options.corners_mm is None else tuple(options.corners_mm),
+        crop=options.crop and tuple(options.crop),
+        corners=options.corners and Corners(np.reshape(options.corners, (4, 2)), options.corners_mm and tuple(options.corners_mm)),
         mm_per_px=options.mm_per_px,
     )
     models = predict.find_models(options.model or ["default"])

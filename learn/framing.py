@@ -19,6 +19,7 @@ from learn.frames import as_wide, averaged
 
 FIELD_MM = (18.4, 13.8)
 """Of the sensor in the plans that the shipped networks are trained on, of which training cuts out 85 to 100 %."""
+CORNERS_MM = "--corners-mm is the size of the rectangle of --corners, in place of --mm-per-px"
 SCALES = (1e-3, 1.0)
 """Of mm_per_px."""
 DARK, THICK = 24, 0.02
@@ -33,14 +34,12 @@ class Framing:
 
     Args:
         crop: Left, top, width and height [px] of what is kept.
-        corners: (column, row) [px] of a rectangle on the gel, clockwise from its top left, (4, 2), which is set upright.
-        corners_mm: Width and height of that rectangle.
-        mm_per_px: Of the frames, or of what is cut out; not beside corners_mm.
+        corners: Of a rectangle on the gel, which is set upright.
+        mm_per_px: Of the frames, or of what is cut out; not where the corners say it.
     """
 
     crop: tuple[int, int, int, int] | None = None
-    corners: NDArray[np.float64] | None = None
-    corners_mm: tuple[float, float] | None = None
+    corners: Corners | None = None
     mm_per_px: float | None = None
 
     def __post_init__(self) -> None:
@@ -50,17 +49,18 @@ class Framing:
         if self.crop and (min(self.crop[:2]) < 0 or min(self.crop[2:]) <= 0):
             said = " ".join(map(str, self.crop))
             raise LearnError(f"--crop {said}: left and top are 0 px or more, width and height more than 0 px")
-        if self.corners_mm and (self.corners is None or self.mm_per_px is not None):
-            raise LearnError("--corners-mm is the size of the rectangle of --corners, in place of --mm-per-px")
-        if self.corners_mm and not all(0.0 < side <= FIELDS_MM[1] for side in self.corners_mm):
-            said = " ".join(f"{side:g}" for side in self.corners_mm)
+        size_mm = self.corners.size_mm if self.corners else None
+        if size_mm and self.mm_per_px is not None:
+            raise LearnError(CORNERS_MM)
+        if size_mm and not all(0.0 < side <= FIELDS_MM[1] for side in size_mm):
+            said = " ".join(f"{side:g}" for side in size_mm)
             raise LearnError(f"--corners-mm {said} mm: allowed is more than 0 mm, up to {FIELDS_MM[1]:g} mm")
         if self.mm_per_px is not None and not SCALES[0] <= self.mm_per_px <= SCALES[1]:
             raise LearnError(f"--mm-per-px {self.mm_per_px:g}: allowed is {SCALES[0]:g} … {SCALES[1]:g} (a picture {FIELD_MM[0]:g} mm wide "
                              f"of 640 px has {FIELD_MM[0] / 640:.3g})")  # fmt: skip
         if self.corners is not None:
             try:
-                check_corners(self.corners, "--corners")
+                check_corners(self.corners.places, "--corners")
             except SceneError as error:
                 raise LearnError(str(error)) from None
 
@@ -78,19 +78,18 @@ class Framing:
             return frame[top : top + high, left : left + wide]
         if self.corners is None:
             return frame
-        if not ((self.corners >= 0) & (self.corners <= [width, height])).all():
+        if not ((self.corners.places >= 0) & (self.corners.places <= [width, height])).all():
             raise LearnError(f"--corners: one lies outside {name}, which is {width} x {height} px")
         from PIL import Image
 
-        corners = Corners(self.corners, self.corners_mm)
-        coefficients = corners.homography.ravel()[:8].tolist()
-        upright = Image.fromarray(frame).transform(corners.size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
+        coefficients = self.corners.homography.ravel()[:8].tolist()
+        upright = Image.fromarray(frame).transform(self.corners.size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
         return np.asarray(upright)
 
     @property
     def scale(self) -> float | None:
         """Millimetres of a pixel of what is kept, None where it is not known."""
-        return self.mm_per_px if self.corners is None or self.corners_mm is None else Corners(self.corners, self.corners_mm).mm_per_px
+        return self.corners.mm_per_px if self.corners and self.corners.size_mm else self.mm_per_px
 
     def outlined(self, frame: NDArray[np.uint8]) -> Framing:
         """With the black border of a frame (H, W, 3) cut off, where nothing says what to keep and there is one."""

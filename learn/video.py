@@ -9,9 +9,10 @@ from __future__ import annotations
 import contextlib
 import re
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -95,23 +96,26 @@ Frames = Callable[[], Iterator[NDArray[np.uint8]]]
 
 
 def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path | None, framing: Framing) -> Source:
-    with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
-        first = next(opened, None)
-    given, picture, scale = framing, inputs.picture, framing.scale
-    framing = framing if first is None else framing.outlined(first)
-    if scale is None:
-        recording = _seen(path, frames, inputs, background, framing, lambda kept: fit_picture(kept, picture))
-    else:  # where the contact is, is known once all has been read: it is read again
-        whole = _seen(path, frames, inputs, background, framing, lambda kept: averaged(as_wide(kept, picture), picture))
-        centre = contact_centre(whole.pictures, whole.background, whole.signal, inputs.deadband_levels)
-        recording = _seen(path, frames, inputs, background, framing, lambda kept: at_scale(kept, picture, scale, centre))
+    opened, given, picture, scale = frames(), framing, inputs.picture, framing.scale
+    with contextlib.closing(opened):  # type: ignore[type-var]
+        first = list(islice(opened, 1))
+        framing = framing.outlined(first[0]) if first else framing
+
+        def whole(kept: NDArray[np.uint8]) -> NDArray[np.uint16]:
+            return fit_picture(kept, picture) if scale is None else averaged(as_wide(kept, picture), picture)
+
+        recording = _seen(path, chain(first, opened), inputs, background, framing, whole)
+    if scale is not None:  # where the contact is, is known once all has been read: it is read again
+        centre = contact_centre(recording.pictures, recording.background, recording.signal, inputs.deadband_levels)
+        with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
+            recording = _seen(path, opened, inputs, background, framing, lambda kept: at_scale(kept, picture, scale, centre))
     note = "" if framing is given else "a black border was cut off (--crop {} {} {} {})".format(*framing.crop or ())
     return _checked(Source(str(path), recording, gel=_gel_beside(path), note=note))
 
 
 def _seen(
     path: Path,
-    frames: Frames,
+    frames: Iterable[NDArray[np.uint8]],
     inputs: InputConfig,
     background: Path | None,
     framing: Framing,
@@ -119,13 +123,12 @@ def _seen(
 ) -> Recording:
     """The press by one view of what is kept of its frames."""
     pictures = []
-    with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
-        for frame in opened:
-            if len(pictures) == MOST_FRAMES:
-                raise LearnError(f"{path}: more than {MOST_FRAMES} frames; a press lasts seconds: cut it, or give --start and --seconds")
-            kept = framing.kept(frame, str(path))
-            framing.check_field(kept, str(path))
-            pictures.append(view(kept))
+    for frame in frames:
+        if len(pictures) == MOST_FRAMES:
+            raise LearnError(f"{path}: more than {MOST_FRAMES} frames; a press lasts seconds: cut it, or give --start and --seconds")
+        kept = framing.kept(frame, str(path))
+        framing.check_field(kept, str(path))
+        pictures.append(view(kept))
     if len(pictures) + (background is not None) < FEWEST_FRAMES or not pictures:
         what = "1 frame" if len(pictures) == 1 else f"{len(pictures)} frames"
         raise LearnError(f"{path}: {what}; a press takes at least {FEWEST_FRAMES}: the sensor untouched, then pressed")

@@ -13,23 +13,22 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
+from gelsim.data.corners import Corners
 from learn.framing import Framing
 from learn.predict import find_models, predict
 from learn.video import _video  # pyright: ignore[reportPrivateUsage]
 
 EVERY = 3  # frames: as much as the network chooses from, in a third of the time
 BORDER = (60, 80), (100, 40)  # above and below, left and right [px]
-OBLIQUE = ((60, 40), (400, 70), (380, 330), (90, 310))  # corners of the picture in one of 480 x 380 px
+ASIDE = Corners(np.array([[60.0, 40.0], [400.0, 70.0], [380.0, 330.0], [90.0, 310.0]]))  # corners of the picture in one of 480 x 380 px
 
 
 def oblique(frame: np.ndarray) -> np.ndarray:
     """The frame as a camera sees it that looks from aside."""
     height, width = frame.shape[:2]
-    rows, wanted = [], []
-    for (x, y), (u, v) in zip(OBLIQUE, ((0, 0), (width, 0), (width, height), (0, height)), strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        wanted += [u, v]
-    coefficients = np.linalg.solve(np.array(rows, float), np.array(wanted, float)).tolist()
+    wide, high = ASIDE.size
+    back = np.linalg.inv(ASIDE.homography @ np.diag([wide / width, high / height, 1.0]))
+    coefficients = (back / back[2, 2]).ravel()[:8].tolist()
     return np.asarray(Image.fromarray(frame).transform((480, 380), Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BICUBIC))
 
 
@@ -47,7 +46,7 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
     def cut(frame: np.ndarray) -> np.ndarray:
         return frame[height // 8 : -height // 8, width // 8 : -width // 8]
 
-    crop, corners = (left, above, width, height), np.array(OBLIQUE, float)
+    crop, corners = (left, above, width, height), Corners(ASIDE.places, (width * mm, height * mm))
     return [
         ("in a grey border", bordered, Framing()),
         ("in a black border, which is found", lambda frame: bordered(frame, 0), Framing()),
@@ -55,7 +54,7 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
         ("in a grey border, --crop --mm-per-px", bordered, Framing(crop=crop, mm_per_px=mm)),
         ("in a grey border, --mm-per-px", bordered, Framing(mm_per_px=mm)),
         ("oblique", oblique, Framing()),
-        ("oblique, --corners --corners-mm", oblique, Framing(corners=corners, corners_mm=(width * mm, height * mm))),
+        ("oblique, --corners --corners-mm", oblique, Framing(corners=corners)),
         ("of half the pixels, --mm-per-px", halved, Framing(mm_per_px=2 * mm)),
         ("three quarters of it", cut, Framing()),
         ("three quarters of it, --mm-per-px", cut, Framing(mm_per_px=mm)),

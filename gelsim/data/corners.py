@@ -7,6 +7,7 @@ the photograph.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ class Corners:
     places: Array
     size_mm: tuple[float, float] | None = None
 
-    @property
+    @cached_property
     def size(self) -> tuple[int, int]:
         """Width and height of the upright picture [px]."""
         sides = np.hypot(*(np.roll(self.places, -1, axis=0) - self.places).T)
@@ -41,7 +42,7 @@ class Corners:
         """Of the upright picture."""
         return self.size_mm[0] / self.size[0] if self.size_mm else None
 
-    @property
+    @cached_property
     def homography(self) -> Array:
         """From the upright picture to the photograph, (3, 3)."""
         wide, high = self.size

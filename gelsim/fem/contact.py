@@ -387,6 +387,8 @@ class SurfaceContact:
 
         For the share of the step in which the motion w towards each other closes the gap such a point passes along the master.
         """
+        if not self.frictional:
+            return
         apart = self._apart
         own = np.einsum("kn,kni->ki", self.shape_values[apart.points % self.points], moves[self.slave_faces[apart.points // self.points]])
         w = np.einsum("kn,kni->ki", apart.shares, moves[apart.nodes]) - own

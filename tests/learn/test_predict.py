@@ -15,6 +15,7 @@ import torch
 from conftest import COLUMNS, ROWS, fake_dataset, fake_press, fake_row
 from PIL import Image
 
+from gelsim.data.corners import Corners
 from gelsim.data.episodes import load_dataset
 from gelsim.scene.definition import Gel, Scene
 from gelsim.scene.layers import dump_scene
@@ -293,12 +294,12 @@ def test_a_press_is_seen_alike_however_it_is_framed(press: np.ndarray, tmp_path:
     assert (seen(tmp_path / "found", bordered) == whole).all()  # black, so found without a word
     assert (seen(tmp_path / "grey", bordered.clip(min=40)) != whole).any()  # planted: not black
     corners = np.array([[30, 9], [30 + wide, 9], [30 + wide, 9 + high], [30, 9 + high]], float)
-    assert np.abs(seen(tmp_path / "corners", bordered, Framing(corners=corners)) - whole).max() < 1.0
+    assert np.abs(seen(tmp_path / "corners", bordered, Framing(corners=Corners(corners))) - whole).max() < 1.0
     # every pixel doubled is half as large: averaged to the network's size nothing is left of it
     doubled, scale = press.repeat(2, axis=1).repeat(2, axis=2), FIELD_MM[0] / wide
     assert np.abs(seen(tmp_path / "doubled", doubled, Framing(mm_per_px=scale / 2)) - whole).max() < 0.02
     # planted: corners half a pixel of the network's off, a scale that is a tenth too large
-    assert np.abs(seen(tmp_path / "aside", bordered, Framing(corners=corners + [1.0, 0.0])) - whole).max() > 3.0
+    assert np.abs(seen(tmp_path / "aside", bordered, Framing(corners=Corners(corners + [1.0, 0.0]))) - whole).max() > 3.0
     assert np.abs(seen(tmp_path / "wrong", press, Framing(mm_per_px=1.1 * scale)) - whole).max() > 3.0
 
 
