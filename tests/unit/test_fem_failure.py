@@ -311,10 +311,11 @@ def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> Non
     assert whole.force[:2] == pytest.approx(begun.force), "what was recorded before stays"
     alone = run_press(made_sticky(points))
     off = np.abs(whole.force - alone.force).max(axis=1)[1:] / np.abs(alone.force[1:, 2])
-    # The first one is what the two ways differ by. A fifth of the shear was there when the points changed, 4 % of the next state's normal
-    # force: what sticks keeps its places. (Found: 0.003, then at most 0.002.)
-    assert off[0] < 0.02 and off[1:].max() < off[0]
-    assert alone.force[1, 0] > 0.2 * alone.force[-1, 0] and alone.force[1, 0] > 5 * off[0] * -alone.force[2, 2]
+    # What sticks keeps its places. Were they forgotten, the shear that was there when the points changed would be missing: 4 % of the next
+    # state's normal force. What is left is what 6 and 12 points differ by, 0.1 to 0.3 % by the mesh that this machine makes.
+    forgotten = alone.force[1, 0] / -alone.force[2, 2]
+    assert alone.force[1, 0] > 0.2 * alone.force[-1, 0] and forgotten > 0.03
+    assert off.max() < forgotten / 5
     energy = whole.info["energy"]
     assert isinstance(energy, dict) and abs(energy["drift"]) < 0.01  # found: 0.001
 
