@@ -141,6 +141,9 @@ def _parser() -> Parser:
     predict.add_argument(
         "--sensor", metavar="NAME", help="whose gel it is: a sensor preset, or a sensor or scene file (default: what was recorded with it)"
     )
+    predict.add_argument(
+        "--identified", type=Path, metavar="DIR", help="what gelsim identify found for this press: told beside, and whether they disagree"
+    )  # fmt: skip
     for command in (train, evaluate):
         command.add_argument(
             "--plan", metavar="FILE", help="of a dataset without pictures, which are drawn first: its plan, if it does not keep it"
@@ -231,12 +234,16 @@ def _predict(options: argparse.Namespace) -> int:
         corners=options.corners and Corners(np.reshape(options.corners, (4, 2)), options.corners_mm and tuple(options.corners_mm)),
         mm_per_px=options.mm_per_px,
     )
+    identified = None if options.identified is None else predict.read_identified(options.identified)
+    if identified and len(options.videos) > 1:
+        raise LearnError(f"--identified {options.identified}: is of one press; {len(options.videos)} were given")
     models = predict.find_models(options.model or ["default"])
     answers = []
     for answer in predict.predict(
         models, options.videos, background=options.background, start=options.start, seconds=options.seconds, sensor=options.sensor,
         framing=framing, device=options.device,
     ):  # fmt: skip
+        answer = predict.beside(answer, identified) if identified else answer
         answers.append(answer)
         if not options.json:
             failed = answer["status"] == "unreadable"

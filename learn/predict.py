@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,9 @@ from learn.video import AS_IT_IS, Source, sources
 
 SHIPPED = {"default": ("paper2017", "varied")}
 """Names that stand for several of the checkpoints in assets/models/, which read together."""
+
+CERTAIN = 1.645
+"""Standard deviations that hold 90 % of a normal distribution."""
 
 
 def find_models(names: Sequence[str], flag: str = "--model") -> list[Path]:
@@ -150,6 +154,39 @@ def _note(source: Source, mean: float, distance: float | None, odd_gel: list[str
     if untold:
         notes.append("the gel is not known (--sensor tells it)")
     return "; ".join(notes)
+
+
+def read_identified(path: Path) -> tuple[float, float]:
+    """Shore 00 and its standard deviation by the mechanics, from the report.json of `gelsim identify` or the folder that holds it.
+
+    Raises:
+        LearnError: It is no such report, or its modulus has no Shore 00.
+    """
+    file = path / "report.json" if path.is_dir() else path
+    try:
+        report = json.loads(file.read_text())
+        shore, spread = float(report["shore_00"]), float(report["shore_00_sd"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise LearnError(
+            f"--identified {path}: is no report of gelsim identify with a Shore 00 ({type(error).__name__}: {error})"
+        ) from None
+    return shore, spread
+
+
+def beside(answer: dict[str, Any], identified: tuple[float, float]) -> dict[str, Any]:
+    """An answer with what the mechanics say of the same press, and whether the two are further apart than 90 % of their differences.
+
+    Adds identified_shore_00, identified_spread and, where the network knows a spread, disagree.
+    """
+    if answer["status"] != "ok":
+        return answer
+    shore, spread = identified
+    answer = answer | {"identified_shore_00": shore, "identified_spread": spread}
+    told = f"by the mechanics {shore:.1f} ± {spread:.1f}"
+    if answer["spread"] is not None:
+        answer["disagree"] = bool(abs(answer["shore_00"] - shore) > CERTAIN * np.hypot(answer["spread"], spread))
+        told += ": the two disagree" if answer["disagree"] else ": the two agree"
+    return answer | {"note": "; ".join(filter(None, (answer["note"], told)))}
 
 
 def in_words(answer: dict[str, Any]) -> str:

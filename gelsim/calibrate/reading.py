@@ -74,7 +74,9 @@ class Reader:
         return float(np.sqrt(abs(a[0] * b[1] - a[1] * b[0])))
 
     def names_within(self, file: Path) -> list[str]:
-        """Of an archive, the names of all its pictures."""
+        """Of an archive or a video, the names of all its pictures."""
+        if file.suffix.lower() in VIDEOS:
+            return [f"{file.name}:{index}" for index in range(len(self._video(file)))]
         names = []
         for key, array in self._archive(file).items():
             if array.ndim == 4:
@@ -130,6 +132,10 @@ class Reader:
         return np.asarray(array, float) / (np.iinfo(array.dtype).max if array.dtype.kind == "u" else 1)
 
     def _of_video(self, file: Path, inner: str) -> NDArray:
+        frames = self._video(file)
+        return frames[_number(inner, len(frames), file)] / 255
+
+    def _video(self, file: Path) -> NDArray:
         if file not in self._open:
             try:
                 size = video_size(file)
@@ -137,7 +143,7 @@ class Reader:
                 self._open[file] = video_frames(file, size, min(MOST_FRAMES, max(2 * 10**9 // bytes_each, 2)))[0]
             except ValueError as error:
                 raise SceneError(f"{file}: {error}") from None
-        return self._open[file][_number(inner, len(self._open[file]), file)] / 255
+        return self._open[file]
 
     def _check_size(self, values: NDArray, name: str) -> None:
         height, width = values.shape[:2]

@@ -63,6 +63,13 @@ examples:
   gelsim compare --frames out/demo --photos recording/           pictures drawn before, paired with photographs by their names
 
 presses.csv says what was pressed, where and how deep; of balls place and depth may be missing. docs/calibrate.md."""
+IDENTIFY_USAGE = "%(prog)s VIDEO --sensor NAME --shape SHAPE [any field of the scene as a flag] [--out DIR]"
+IDENTIFY_EXAMPLES = """\
+examples:
+  gelsim identify press.mp4 --sensor out/mine/sensor.toml --shape hemisphere --radius-mm 8 --friction 0.8
+  gelsim identify out/demo --scene out/demo/scene.toml --forces forces.csv
+
+The shape is known, the hardness and how deep each picture is are not. How far to trust it: docs/identify.md."""
 DUROMETER_EXAMPLES = """\
 examples:
   gelsim durometer --shore 30                       the modulus that reads 00-30
@@ -177,6 +184,23 @@ def _parser() -> Parser:
     compare.add_argument("--force", action="store_true", help="write over earlier files of these names")
     compare.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
     _add_output_flags(compare, _compare)
+    identify = commands.add_parser(
+        "identify", help="an object's hardness from the video of a press, by the mechanics", epilog=IDENTIFY_EXAMPLES, usage=IDENTIFY_USAGE
+    )
+    identify.add_argument(
+        "source", metavar="VIDEO", help="a video, a folder of pictures or an episode; it begins with the sensor untouched"
+    )
+    identify.add_argument("--scene", metavar="FILE", help="sensor, shape and friction from a scene file (TOML)")
+    identify.add_argument("--crop", type=int, nargs=4, metavar=("LEFT", "TOP", "WIDTH", "HEIGHT"), help="what shows the gel [px]")
+    identify.add_argument("--forces", metavar="FILE.csv", help="measured normal forces: picture (from 0), force_n")
+    identify.add_argument("--force-sd", type=float, default=0.02, metavar="N", help="their standard deviation [N] (default: 0.02)")
+    identify.add_argument(
+        "--out", metavar="DIR", default="out/identify", help="where report.json and identify.png go (default: out/identify)"
+    )
+    identify.add_argument("--force", action="store_true", help="write over earlier files of these names")
+    identify.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
+    _add_output_flags(identify, _identify)
+    add_scene_flags(identify)
     durometer = commands.add_parser("durometer", help="the virtual durometer: Shore reading to modulus and back", epilog=DUROMETER_EXAMPLES)
     wanted = durometer.add_mutually_exclusive_group()
     wanted.add_argument("--modulus-kpa", type=float, metavar="E", help="Young's modulus of the block [kPa]: what does it read?")
@@ -450,6 +474,27 @@ def _compare(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print(comparison.summary(report))
     return report
+
+
+def _identify(options: argparse.Namespace) -> dict[str, Any]:
+    from gelsim.identify import run
+
+    out = Path(options.out)
+    run.check_free(out, force=options.force)
+    with progress_bars() as progress:
+        report = run.identify(
+            Path(options.source),
+            _scene(options),
+            crop=tuple(options.crop) if options.crop else None,
+            forces=Path(options.forces) if options.forces else None,
+            force_sd=options.force_sd,
+            device=options.device,
+            progress=progress,
+        )
+    run.write(report, out)
+    if not options.json:
+        print(run.summary(report))
+    return run.told(report)
 
 
 def _durometer(options: argparse.Namespace) -> dict[str, Any]:

@@ -92,6 +92,12 @@ class Surface:
         dots = _at_rest(scene.gel, centres)[:, None] + (self._interpolation.operator(centres) @ values).reshape(-1, states, 3)
         return [self._grid.membrane(moved[:, n], np.ascontiguousarray(dots[:, n])) for n in range(states)]
 
+    def slopes(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives of displacements of the nodes (N, G, 3) by x and y at the nodes, (2, N, G, 3)."""
+        states, nodes = displacement.shape[:2]
+        values = self._interpolation.with_gradients(displacement.transpose(1, 0, 2).reshape(nodes, -1))
+        return values.reshape(3, nodes, states, 3)[1:].transpose(0, 2, 1, 3)
+
 
 class Grid:
     """The regular grid of material points that is drawn, row by row."""

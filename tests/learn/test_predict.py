@@ -24,7 +24,7 @@ from learn.config import InputConfig, LearnError
 from learn.frames import averaged
 from learn.framing import FIELD_MM, Framing, at_scale, contact_centre
 from learn.novelty import fit_novelty
-from learn.predict import gel_of_sensor, in_words, predict
+from learn.predict import beside, gel_of_sensor, in_words, predict, read_identified
 from learn.video import AS_IT_IS, MOST_SECONDS, sources
 
 
@@ -351,3 +351,21 @@ def test_a_framing_beyond_the_frames(tiny_run: Path, press: np.ndarray, tmp_path
     ):
         (answer,) = ask(tiny_run, video, framing=framing)
         assert answer["status"] == "unreadable" and message in answer["note"]
+
+
+def test_mechanics_beside_the_network(tmp_path: Path) -> None:
+    """Two readings disagree where they are further apart than 90 % of the differences that their spreads allow: 1.645 · 5 = 8.2 here."""
+    report = tmp_path / "report.json"
+    report.write_text('{"shore_00": 40.0, "shore_00_sd": 3.0}')
+    identified = read_identified(tmp_path)
+    assert identified == read_identified(report) == (40.0, 3.0)
+    answer = {"source": "a", "status": "ok", "shore_00": 48.0, "spread": 4.0, "true": None, "note": ""}
+    assert beside(answer, identified)["disagree"] is False
+    assert "the two disagree" in in_words(beside(answer | {"shore_00": 48.5}, identified))
+    assert "disagree" not in beside(answer | {"spread": None}, identified)
+    lost = {"source": "a", "status": "no contact", "note": "no contact"}
+    assert beside(lost, identified) == lost
+    for content in ("{}", '{"shore_00": null, "shore_00_sd": null}', "no"):
+        report.write_text(content)
+        with pytest.raises(LearnError, match="--identified"):
+            read_identified(tmp_path)

@@ -20,6 +20,7 @@ LAYERS = [
     {"optics"},
     {"pipeline", "live"},
     {"bench", "calibrate", "durometer", "generate", "study", "views"},
+    {"identify"},
     {"cli"},
     {"__main__", "__init__"},
 ]
