@@ -1,7 +1,7 @@
 """The object's press at a modulus, as pictures: approach and a small change of the modulus are free, the mesh and the place are not.
 
-A press is solved at E and at E·exp(LOG_STEP) on the same meshes, so that what the mesh does to one it does to the other. Displacements of the
-gel's surface between recorded states are cubic splines of the approach, between moduli linear in log E.
+A press is solved at E and at E·exp(LOG_STEP) on the same meshes, so that what the mesh does to one it does to the other. Displacements of
+the gel's surface between recorded states are cubic splines of the approach, between moduli linear in log E.
 """
 
 from __future__ import annotations

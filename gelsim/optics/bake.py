@@ -214,16 +214,13 @@ def _measure_local(
     everywhere = np.concatenate([corner_rays[:, :2], *(places.reshape(-1, 2) for layer in sheets for _, _, places in layer)])
     low, high = everywhere.min(axis=0), everywhere.max(axis=0)
     lights = tiled.lights.lights
-    pictures: list[list[list[NDArray]]] = []
-    for light in lights:
-        renderer = Renderer(tiled.replace(lights=replace(tiled.lights, lights=(light,))), variant)
-        pictures.append([])
-        for layer in sheets:
-            drawn = []
-            for number, (sheet, _, _) in enumerate(layer):
-                drawn.append(renderer.radiance(sheet, seed=number))
+    renderers = [Renderer(tiled.replace(lights=replace(tiled.lights, lights=(light,))), variant) for light in lights]
+    pictures: list[list[list[NDArray]]] = [[[] for _ in sheets] for _ in lights]
+    for level, layer in enumerate(sheets):
+        for number, (sheet, _, _) in enumerate(layer):
+            for light, drawn in zip(pictures, Renderer.radiances(renderers, sheet, seed=number), strict=True):
+                light[level].append(drawn)
                 tick()
-            pictures[-1].append(drawn)
     layers = []
     for level, layer in enumerate(sheets):
         nodes = np.concatenate([node.ravel() for _, node, _ in layer])

@@ -5,6 +5,7 @@ Left out: see `optics.tracer`, `optics.camera`, `optics.lighting`, `optics.coati
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -56,6 +57,17 @@ class Renderer:
             return self._scalar.radiance(membrane, seed)
         self._tracer.place(membrane)
         return np.array(self._tracer.picture(seed), np.float32)
+
+    @staticmethod
+    def radiances(renderers: Sequence[Renderer], membrane: Membrane, seed: int) -> list[NDArray[np.float32]]:
+        """`radiance` of each of several renderers that differ in their lights: the membrane is placed once."""
+        first = renderers[0]
+        if first._scalar is not None:
+            return [renderer.radiance(membrane, seed) for renderer in renderers]
+        first._tracer.place(membrane)
+        for other in renderers[1:]:
+            other._tracer.place_as(first._tracer)
+        return [np.array(renderer._tracer.picture(seed), np.float32) for renderer in renderers]
 
     def _prepare(self, membrane: Membrane) -> Developer:
         """The image pipeline; of a sensor with a photograph of its rest, its light at rest has to be drawn for it."""

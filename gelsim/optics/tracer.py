@@ -139,6 +139,11 @@ class Tracer:
         self._seen = mi.UInt32(seen)
         dr.eval(self._points, self._normals)
 
+    def place_as(self, other: Tracer) -> None:
+        """Draws the surface that another tracer of this gel and camera has placed, until that places one."""
+        self._mesh, self._traced, self._cells, self._uv = other._mesh, other._traced, other._cells, other._uv
+        self._points, self._normals, self._seen = other._points, other._normals, other._seen
+
     def _pool_cells(self, uv: NDArray[np.float32]) -> tuple[Any, Any, int]:
         """Vertices of each cell of the pool, with their shares of its mean, in rows of equal length, filled up with shares of 0."""
         column, row = np.minimum((uv * POOL_CELLS).astype(int), POOL_CELLS - 1).T
