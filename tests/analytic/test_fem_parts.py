@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from gelsim.fem import reference
 from gelsim.fem.assembly import Solids
-from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.elements import TetQuadrature, tet_quadrature_data
 from gelsim.fem.pattern import split_pressures
 from gelsim.fem.problem import PressProblem, isochoric_constants
 from gelsim.geometry import TET_EDGES, TetMesh
@@ -92,7 +92,7 @@ def test_split_pressures_match_the_twin() -> None:
     used, small = np.unique(cells[some], return_inverse=True)  # a dense twin of the nodes that take part
     small = small.reshape(-1, 14).astype(np.int32)
     _, residual, tangent = reference.assemble(
-        u[used], p[used], small[:, :10], gradients[some], weights[some], shape, law[some], kappa[some], small[:, 10:]
+        u[used], p[used], small[:, :10], TetQuadrature(gradients[some], weights[some], shape), law[some], kappa[some], small[:, 10:]
     )
     force, volume, _ = part.internal_force()
     kept = part.free[used]

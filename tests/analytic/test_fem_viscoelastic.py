@@ -10,6 +10,7 @@ from fem_fixtures import Array, box_mesh, cap_scene, equilibrium, flat_gel, prob
 
 from gelsim.fem import quasistatic, reference
 from gelsim.fem.assembly import Solids
+from gelsim.fem.elements import TetQuadrature
 from gelsim.fem.viscoelastic import Memory, isochoric_stress, prony_arrays
 from gelsim.geometry import TetMesh, quadratic_tets
 from gelsim.scene.definition import Scene
@@ -81,7 +82,7 @@ def test_kernels_and_history_match_the_twin(law: str) -> None:
     assert np.abs(force - wanted).max() <= bound * np.abs(wanted).max()
     # and the matrix, of the step's law and history
     history, in_use = memory._history.numpy(), solids._inputs[6].numpy()
-    _, residual, tangent = reference.assemble(u, p, solids.tets, gradients, weights, shape, in_use, kappa, history=history)
+    _, residual, tangent = reference.assemble(u, p, solids.tets, TetQuadrature(gradients, weights, shape), in_use, kappa, history=history)
     assert np.abs(force - residual[:, :3]).max() <= bound * np.abs(residual).max()
     kept = solids.free
     wanted_tangent = tangent[kept][:, kept]
