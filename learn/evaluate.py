@@ -50,7 +50,7 @@ FEWEST = 3
 """Presses that a baseline learns from."""
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913 - a keyword for each flag of its command
     models: Sequence[Path],
     data: Path,
     out: Path,

@@ -69,7 +69,7 @@ class Place:
         return self.rank == 0
 
 
-def train(
+def train(  # noqa: PLR0913 - a keyword for each flag of its command
     data: Path,
     out: Path,
     config: Config,

@@ -9,7 +9,7 @@ import importlib
 import os
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +29,11 @@ def load(name: str) -> Section:
     return importlib.import_module(SECTIONS[name]).SECTION
 
 
-def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | None = None, resume: bool = False, force: bool = False,
-        limit: int | None = None, page: Path | None = None, workers: int = 1,
-        progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
+def run(out: Path, options: Options | None = None, *, resume: bool = False, force: bool = False, limit: int | None = None,
+        page: Path | None = None, workers: int = 1, progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
     """Measures the cases and writes results.jsonl, one CSV a section, bench.md and plots into `out`.
 
     Args:
-        sections: Their names; None for all, or those that `page` has places for.
         limit: Stop after so many cases that were not known before.
         page: A Markdown page whose tables of these sections are replaced.
         workers: Processes that share the cases, each on one thread.
@@ -46,8 +44,8 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     options = options or Options()
     if not 1 <= workers <= 1024:
         raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
-    held = report.places(page) if page is not None and sections is None else []
-    asked = set(sections if sections is not None else held or SECTIONS)
+    held = report.places(page) if page is not None else []
+    asked = set(options.sections or held or SECTIONS)
     wanted = [name for name in SECTIONS if name in asked]
     if page is not None:
         report.check_page(page, wanted)

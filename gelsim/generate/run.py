@@ -51,7 +51,7 @@ MANIFEST_SECONDS = 20.0
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
 
-def generate(
+def generate(  # noqa: PLR0913 - a keyword for each flag of its command
     plan: str,
     episodes: int,
     out: Path,

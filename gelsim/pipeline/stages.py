@@ -393,7 +393,7 @@ def simulate(scene: Scene, *, device: str = "auto", progress: Progress | None = 
     return deformation, render(scene, deformation, device=device, progress=progress)
 
 
-def run(
+def run(  # noqa: PLR0913 - a keyword for each flag of its command
     scene: Scene,
     out: Path,
     *,

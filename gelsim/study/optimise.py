@@ -95,9 +95,11 @@ def parse_bounds(text: str) -> tuple[str, dict[str, list[float]]]:
     return name, check_axis("--within", name, axis)
 
 
-def optimise(goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out: Path, *, evaluations: int = 60, resume: bool = False,
-             force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
-             progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
+def optimise(  # noqa: PLR0913 - a keyword for each flag of its command
+    goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out: Path, *, evaluations: int = 60, resume: bool = False,
+    force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
+    progress: Callable[[str, int, int], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Searches, and writes results.jsonl, study.csv, study.png, index.html, and sensor.toml and scene.toml of the best.
 
     Args:

@@ -6,7 +6,6 @@ do not depend on how many workers there are, nor on the order in which they fini
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 import time
@@ -38,12 +37,11 @@ class Case:
     device: str = "auto"
 
 
-def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, force: bool = False, workers: int = 1, device: str = "auto",
-        command: str = "", progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
+def run(study: Study, out: Path, *, resume: bool = False, force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
+        progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
     """Measures the cases and writes results.jsonl, study.csv, a plot for each metric and index.html into `out`.
 
     Args:
-        quick: The study's small form.
         workers: Processes; 1 computes in this one.
         command: What the page says it was made by.
     Returns:
@@ -54,12 +52,6 @@ def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, f
     """
     if workers < 1:
         raise SceneError(f"--workers {workers}: allowed is 1 or more")
-    if quick and not study.quick:
-        raise SceneError(
-            f"--quick: study {study.name} has no small form; in a study of your own, fewer values and scene.fidelity = 'fast' make one"
-        )
-    if quick:
-        study = dataclasses.replace(study, **study.quick)
     cases = [case_of(study, point, device) for point in study.points()]
     ledger = Ledger(out / RESULTS, resume=resume, force=force)
     todo = [case for case in cases if ledger.rows.get(case.key, {}).get("status") != DONE]

@@ -27,7 +27,7 @@ MM = 1e-3
 def layered(soft: ElasticMaterial, stiff: ElasticMaterial, split: bool = True) -> tuple[Solids, TetMesh]:
     """A block of 2 mm with its sides on sliding planes, the stiff layer from z = 1.2 mm up, interface along faces of distorted tets."""
     line, heights = np.linspace(0, 2 * MM, 4), np.array([0.0, 0.7, 1.2, 1.7, 2.0]) * MM
-    mesh = box_mesh(line, line, heights, "bottom", "top", "side")
+    mesh = box_mesh(line, line, heights, ("bottom", "top", "side"))
     x = mesh.rest_positions
     x[:, :2] += 0.1 * (x[:, :2] * (2 * MM - x[:, :2]) / MM) * np.sin(3 * x[:, 2:] / MM)  # sheared within the block: no symmetric pieces
     for middle, (one, two) in enumerate(TET_EDGES):  # and straight, or four points would not integrate them exactly

@@ -129,7 +129,7 @@ def test_tangent_against_central_differences(fault: str | None) -> None:
 def bar(law: str = "neo-hookean", nu: float = 0.4999) -> tuple[Solids, Memory, TetMesh]:
     """A block of 2 mm on three sliding planes, its top driven."""
     line = np.linspace(0, 2 * MM, 3)
-    mesh = box_mesh(line, line, line, "bottom", "top", "side", shake=0.2)
+    mesh = box_mesh(line, line, line, ("bottom", "top", "side"), shake=0.2)
     fixed = np.abs(mesh.rest_positions) < 1e-12
     fixed[mesh.rest_positions[:, 2] > 2 * MM - 1e-12, 2] = True
     solids = solids_of(mesh, ElasticMaterial.from_modulus(50e3, nu, law, LAWS[law]), fixed)

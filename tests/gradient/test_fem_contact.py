@@ -35,7 +35,7 @@ class Pair:
     def __init__(self, friction: float, curved: bool, overlap: float = 0.004, waves: float = 0.002, slope: float = 0.0,
                  symmetry: str = "", grid: tuple[float, float] = (-1.3, 1.3)) -> None:  # fmt: skip
         line = np.linspace(-1, 1, 3) * MM
-        gel = box_mesh(line, line, np.array([-1.0, 0.0]) * MM, "bonded", "coated", "side").surface("coated")
+        gel = box_mesh(line, line, np.array([-1.0, 0.0]) * MM, ("bonded", "coated", "side")).surface("coated")
         across, along = np.linspace(*grid, 4), np.linspace(-1.3, 1.3, 4)
         x, y = (a.ravel() for a in np.meshgrid(across, along, indexing="ij"))
         number = np.arange(16).reshape(4, 4)
