@@ -13,7 +13,7 @@ from gelsim.errors import GelsimError
 from gelsim.scene.layers import preset_names
 
 PACKAGES = (
-    "gelsim", "numpy", "scipy", "warp-lang", "mitsuba", "drjit", "pytetwild", "pyvista", "mkl", "trimesh", "manifold3d", "OpenEXR",
+    "gelsim", "numpy", "scipy", "warp-lang", "mitsuba", "drjit", "pytetwild", "mkl", "trimesh", "manifold3d", "OpenEXR",
     "colour-science", "matplotlib", "imageio-ffmpeg", "torch",
 )  # fmt: skip
 OPTIONAL = {"torch": "only learning needs it: pip install -e .[learn]"}

@@ -306,7 +306,7 @@ _WITHOUT_PYVISTA = """
 import sys, types
 sys.modules["pyvista"] = types.ModuleType("pyvista")
 """
-"""Run before `_CHILD`: pytetwild imports it to register itself there, a third of a second that no mesh depends on."""
+"""Run before `_CHILD`: pytetwild imports it only to register itself there, so that it and VTK, 580 MB, need not be installed."""
 _CHILD = """
 import numpy, pytetwild
 with numpy.load("in.npz", allow_pickle=False) as stored:
