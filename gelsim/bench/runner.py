@@ -16,11 +16,11 @@ from typing import Any
 from gelsim import fem
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
-from gelsim.errors import GelsimError, SceneError, SolveStatus
+from gelsim.errors import GelsimError, SolveStatus
 from gelsim.pipeline import stages
 from gelsim.tables import write_csv
 from gelsim.work.ledger import Ledger
-from gelsim.work.workers import Handful, LocalCrew, Work, work_through
+from gelsim.work.workers import Handful, LocalCrew, Work, check_count, load_average, work_through
 
 RESULTS = "results.jsonl"
 
@@ -42,8 +42,7 @@ def run(out: Path, options: Options | None = None, *, resume: bool = False, forc
             place for a section.
     """
     options = options or Options()
-    if not 1 <= workers <= 1024:
-        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
+    check_count(workers)
     held = report.places(page) if page is not None else []
     asked = set(options.sections or held or SECTIONS)
     wanted = [name for name in SECTIONS if name in asked]
@@ -59,8 +58,7 @@ def run(out: Path, options: Options | None = None, *, resume: bool = False, forc
     for number, row in enumerate(_measured(new, options, workers), start=1):
         if progress:
             progress("bench", len(todo) - len(new) + number, len(todo))
-        busy = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
-        ledger.add(row | {"load": busy, "cores": os.cpu_count(), "workers": workers, "made_by": made_by})
+        ledger.add(row | {"load": load_average(), "cores": os.cpu_count(), "workers": workers, "made_by": made_by})
     written = [_written(out, name, [f"{s}/{case.name}" for s, case in todo if s == name], known, options.quick) for name in wanted]
     (out / "bench.md").write_text("\n".join(f"### {load(table.section).title}\n\n{table.markdown}" for table in written))
     if page is not None:

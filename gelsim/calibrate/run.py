@@ -9,7 +9,6 @@ depth alone (where not given) are then found with the sensor held.
 
 from __future__ import annotations
 
-import importlib.metadata
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -31,7 +30,7 @@ from gelsim.calibrate.preset import fitted_head, write_preset
 from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.optics.rest import even_part, rest_name, save_levels
-from gelsim.pipeline import outputs
+from gelsim.pipeline import outputs, stages
 from gelsim.scene.definition import Gel, Scene
 from gelsim.scene.layers import build_scene, is_preset
 
@@ -570,7 +569,7 @@ def _report(job: _Job, state: _State, places: Array, press_sd: Array, shown_rest
             "test_presses": "place and depth found from their own photograph with the sensor held" if photos.test.any() else None,
             "score_spp": SCORE_SPP,
         },
-        "versions": {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "mitsuba")},
+        "versions": stages.versions(("numpy", "scipy", "mitsuba")),
         "warnings": job.warnings,
     }
 

@@ -34,6 +34,7 @@ from gelsim.study.definition import Point, Study, case_name, check_axis, quantil
 from gelsim.study.metrics import METRICS
 from gelsim.study.runner import DONE, RESULTS, case_of, measured
 from gelsim.work.ledger import Ledger, Row
+from gelsim.work.workers import check_count
 
 SAMPLES = 8
 STARTS = 3
@@ -114,6 +115,7 @@ def optimise(  # noqa: PLR0913 - a keyword for each flag of its command
     Raises:
         SceneError: Too few evaluations, `out` holds results already and neither `resume` nor `force` was given, or no scene gave a number.
     """
+    check_count(workers)
     samples = SAMPLES * len(bounds)
     least = samples + NEIGHBOURS
     if evaluations <= least:
