@@ -25,8 +25,6 @@ class Parser(argparse.ArgumentParser):
 
     wrong: type[GelsimError] = SceneError
     """What is raised."""
-    hint = staticmethod(nearest)
-    """What is said of a flag that is none, given its name and those of all flags."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**({"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter} | options))
@@ -47,7 +45,7 @@ class Parser(argparse.ArgumentParser):
             if not name.startswith("-"):
                 scene = f"; did you mean --scene {name}?" if "--scene" in known else ""
                 raise self.wrong(f"{name!r} belongs to no flag{scene}")
-            raise self.wrong(f"unknown flag {name!r}{self.hint(name, known)}")
+            raise self.wrong(f"unknown flag {name!r}{nearest(name, known)}")
         return options
 
 

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import difflib
 import json
 import sys
-import typing
 from pathlib import Path
 from typing import Any
 
 from gelsim import console
 from gelsim.errors import GelsimError
+from gelsim.scene.fields import field_types, parse_text
 from learn import config as config_module
 from learn.config import PRESETS, Config, LearnError, configure, sections
 
@@ -38,11 +37,6 @@ class Parser(console.Parser):
     """The command line's."""
 
     wrong = LearnError
-
-    @staticmethod
-    def hint(name: str, known: list[str]) -> str:
-        close = difflib.get_close_matches(name, known, n=1)
-        return f"; nearest is {close[0]}" if close else ""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -158,7 +152,8 @@ def _parser() -> Parser:
 
 def _train(options: argparse.Namespace) -> int:
     given = {name.removeprefix("config."): text for name, text in vars(options).items() if name.startswith("config.") and text is not None}
-    changes = {name: _value(name, text) for name, text in given.items()}
+    hints = {name: hint for kind in sections().values() for name, hint in field_types(kind).items()}
+    changes = {name: parse_text(text, hints[name], name) for name, text in given.items()}
     if options.resume and options.init:
         raise LearnError("--init: a run that goes on has begun already; leave --init or --resume out")
     from learn import train
@@ -252,21 +247,6 @@ def _predict(options: argparse.Namespace) -> int:
         print(json.dumps({"presses": answers}, allow_nan=False))
     good = sum(answer["status"] == "ok" for answer in answers)
     return OK if good == len(answers) else PARTIAL if good else BAD_INPUT
-
-
-def _value(name: str, text: str) -> Any:
-    """What was typed, as a value of the field's type; what does not parse stays text, for the config's own check to name."""
-    hint = next(typing.get_type_hints(kind)[name] for kind in sections().values() if name in typing.get_type_hints(kind))
-    if hint is bool:
-        return {"true": True, "false": False}.get(text.lower(), text)
-    if hint is str:
-        return text
-    try:
-        if hint in (int, float):
-            return hint(text)
-        return tuple(int(word) for word in text.replace("x", " ").replace(",", " ").split())
-    except ValueError:
-        return text
 
 
 if __name__ == "__main__":

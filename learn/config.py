@@ -1,18 +1,18 @@
 """What a training is made of, as frozen dataclasses: saved with every run and every checkpoint, each field a flag of `gelsim-learn train`.
 
-Standard library only, so that the command line can name every field without loading torch.
+Fields and limits are checked as those of a scene are. No NumPy, no torch: the command line names every field at once.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import types
 import typing
 from dataclasses import dataclass, field
 from typing import Any
 
-from gelsim.errors import GelsimError
+from gelsim.errors import GelsimError, SceneError
+from gelsim.scene.fields import convert, field_types, nearest
+from gelsim.scene.limits import check_limits
 
 MODELS = ("press", "paper")
 PRECISIONS = ("auto", "float32", "bfloat16")
@@ -180,8 +180,7 @@ def configure(preset: str = "default", **changes: Any) -> Config:
     parts: dict[str, dict[str, Any]] = {name: {} for name in sections()}
     for key, value in (PRESETS[preset] | changes).items():
         if key not in homes:
-            close = difflib.get_close_matches(key, homes, n=1)
-            raise LearnError(f"unknown setting {key!r}" + (f"; nearest is {close[0]!r}" if close else ""))
+            raise LearnError(f"unknown setting {key!r}{nearest(key, homes)}")
         parts[homes[key]][key] = value
     return Config(**{name: kind(**parts[name]) for name, kind in sections().items()})
 
@@ -225,32 +224,17 @@ _CHOICES = {"model": MODELS, "precision": PRECISIONS}
 
 
 def _check(config: Config) -> None:
-    for name, kind in sections().items():
-        hints = typing.get_type_hints(kind)
-        for item in dataclasses.fields(kind):
-            value, hint = getattr(getattr(config, name), item.name), hints[item.name]
-            if item.name in _CHOICES:
-                if value not in _CHOICES[item.name]:
-                    raise LearnError(f"{item.name} = {value!r}: allowed are {', '.join(_CHOICES[item.name])}")
-                continue
-            listed = isinstance(hint, types.GenericAlias) or typing.get_origin(hint) is tuple
-            inner = typing.get_args(hint)[0] if listed else hint
-            values = value if listed else (value,)
-            fits = isinstance(values, tuple) and values and all(_is(one, inner) for one in values)
-            if not fits or (item.name == "picture" and len(values) != 2) or len(values) > 8:
-                raise LearnError(f"{item.name} = {value!r}: expected {'a list of ' if listed else ''}{inner.__name__}")
-            if item.name in _RANGES:
-                low, high = _RANGES[item.name]
-                if not all(low <= one <= high for one in values):
-                    raise LearnError(f"{item.name} = {value!r}: allowed is {low:g} … {high:g}")
+    try:
+        for part in (config.input, config.model, config.augment, config.train):
+            for name, hint in field_types(type(part)).items():
+                object.__setattr__(part, name, convert(getattr(part, name), hint, name))
+            check_limits(part, choices=_CHOICES, limits=_RANGES)
+    except SceneError as error:
+        raise LearnError(str(error)) from None
+    if not 1 <= len(config.model.widths) <= 8:
+        raise LearnError(f"widths = {config.model.widths}: allowed are 1 … 8 of them")
     if config.model.model == "paper" and (config.input.picture != (224, 224) or config.input.frames < 3):
         raise LearnError(f"model = 'paper' takes pictures of 224 × 224 and three frames at least, not {config.input.picture}")
     shortest, stages = min(config.input.picture), len(config.model.widths)
     if shortest < 2 ** (stages + 1):
         raise LearnError(f"picture = {config.input.picture}: {stages} widths need {2 ** (stages + 1)} pixels at least")
-
-
-def _is(value: object, kind: Any) -> bool:
-    if kind is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and value == value
-    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))

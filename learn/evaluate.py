@@ -25,7 +25,7 @@ from learn.config import InputConfig, LearnError
 from learn.data import held_presses
 from learn.ensemble import Ensemble
 from learn.estimate import pick_device
-from learn.recordings import CACHE, Archive, Progress, archive
+from learn.recordings import CACHE, Archive, Progress, Reading, archive
 from learn.splits import TEST_ROWS, TRAIN, VALIDATION, check_splits
 
 # Yuan et al., ICRA 2017, Table I and section V-B: videos, R², RMSE. It gives no numbers of natural objects.
@@ -50,7 +50,7 @@ FEWEST = 3
 """Presses that a baseline learns from."""
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913 - a keyword for each flag of its command
     models: Sequence[Path],
     data: Path,
     out: Path,
@@ -94,21 +94,19 @@ def evaluate(
         cache = models[0].parent / CACHE
     scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
     try:
-        return _evaluate(dataset, ensemble, models, out, chosen, device, cache or scratch, workers, teacher, plan, progress)
+        return _evaluate(dataset, ensemble, models, out, chosen, teacher, Reading(cache or scratch, progress, workers, plan, device))
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _evaluate(
-    dataset: Dataset, ensemble: Ensemble, models: Sequence[Path], out: Path, chosen: Sequence[str], device: str, cache: Path | None,
-    workers: int, teacher: Dataset | None, plan: str | None, progress: Progress | None,
+    dataset: Dataset, ensemble: Ensemble, models: Sequence[Path], out: Path, chosen: Sequence[str], teacher: Dataset | None,
+    reading: Reading,
 ) -> dict[str, Any]:  # fmt: skip
-    def read(dataset: Dataset, indices: list[int]) -> Archive:
-        return archive(dataset, indices, ensemble.inputs, cache, progress, workers, plan, device)
-
-    everything = read(dataset, [row["index"] for row in dataset.rows])
-    learnt = _learn_baselines(read(teacher, _known(teacher)), ensemble.inputs) if teacher is not None else None
+    inputs = ensemble.inputs
+    everything = archive(dataset, [row["index"] for row in dataset.rows], inputs, reading)
+    learnt = _learn_baselines(archive(teacher, _known(teacher), inputs, reading), inputs) if teacher is not None else None
     total = sum(len(dataset.splits[name]) for name in chosen)
     found: dict[str, list[dict[str, Any]]] = {}
     done = 0
@@ -118,8 +116,8 @@ def _evaluate(
             part = everything.only([dataset.positions[index] for index in dataset.splits[name][start : start + CHUNK]])
             found[name] += _predict(part, ensemble, learnt)
             done = done + len(dataset.splits[name][start : start + CHUNK])
-            if progress:
-                progress("evaluating", done, total)
+            if reading.progress:
+                reading.progress("evaluating", done, total)
     report: dict[str, Any] = {
         "models": [
             {"model": path.name, "step": kept.step, "training": kept.provenance}

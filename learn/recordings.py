@@ -152,31 +152,40 @@ class Archive:
         return Recording(levels[0], levels[1:], self.signals[number], self.noises[number])
 
 
-def archive(
-    dataset: Dataset, indices: Sequence[int], inputs: InputConfig, cache: Path | None = None, progress: Progress | None = None,
-    workers: int = 0, plan: str | None = None, device: str = "auto",
-) -> Archive:  # fmt: skip
+@dataclass(frozen=True)
+class Reading:
+    """How recordings are read."""
+
+    cache: Path | None = None
+    """A folder where the whole dataset is kept, or was by an earlier reading; None: the episodes asked for alone, in memory."""
+    progress: Progress | None = None
+    workers: int = 0
+    """Processes that read; 0: this one."""
+    plan: str | None = None
+    """Of a dataset without pictures, where that does not keep its own."""
+    device: str = "auto"
+    """Where pictures are drawn: on the CPU alone if "cpu", else on CUDA where that works, all of whose devices share the workers."""
+
+
+def archive(dataset: Dataset, indices: Sequence[int], inputs: InputConfig, reading: Reading | None = None) -> Archive:
     """Reads episodes and averages their pictures, which are drawn where they were left out.
 
     Args:
         indices: Values of `index` in the dataset's rows.
-        cache: A folder where the whole dataset is kept, or was by an earlier call; None: these episodes alone, in memory.
-        workers: Processes that read; 0: this one.
-        plan: The plan of a dataset without pictures, where that does not keep its own.
-        device: Where pictures are drawn: on the CPU alone if "cpu", else on CUDA where that works, all of whose devices share the workers.
     Raises:
         DatasetError: An episode is damaged. SceneError, RenderError: Pictures cannot be drawn.
     """
+    reading = reading or Reading()
     wanted = [dataset.rows[dataset.positions[index]] for index in indices]
-    rows = wanted if cache is None else dataset.rows
+    rows = wanted if reading.cache is None else dataset.rows
     begins = np.cumsum([0] + [1 + row["frames"] for row in rows])
     shape = (int(begins[-1]), *inputs.picture, 3)
-    if cache is None:
+    if reading.cache is None:
         pictures = np.empty(shape, np.uint16)
-        light, _ = _light(dataset, rows, plan, device, progress)
+        light, _ = _light(dataset, rows, reading)
         arrays = _Reader(dataset, rows, begins, inputs, pictures, light)(tuple(range(len(rows))))
     else:
-        pictures, arrays = _cached(dataset, begins, shape, inputs, cache, progress, workers, plan, device)
+        pictures, arrays = _cached(dataset, begins, shape, inputs, reading)
     where = {row["index"]: number for number, row in enumerate(rows)}
     firsts = begins - np.arange(len(begins))  # without the no-contact frames
     parts = [slice(*pair) for pair in itertools.pairwise(firsts)]
@@ -188,10 +197,10 @@ def archive(
 
 
 def _cached(
-    dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, cache: Path, progress: Progress | None,
-    workers: int, plan: str | None, device: str,
-) -> tuple[NDArray[np.uint16], dict[str, NDArray[Any]]]:  # fmt: skip
-    rows = dataset.rows
+    dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, reading: Reading
+) -> tuple[NDArray[np.uint16], dict[str, NDArray[Any]]]:
+    rows, cache = dataset.rows, reading.cache
+    assert cache is not None
     dark = not all(map(lit, rows))
     drawn = [_DRAWN_VERSION, dataset.info.get("plan_sha256"), dataset.info.get("seed")] if dark else []
     sizes = [(dataset.folder / row["file"]).stat().st_size for row in rows if (dataset.folder / row["file"]).is_file()]
@@ -203,7 +212,7 @@ def _cached(
         with FileLock(f"{home}.lock"):  # of several runs that begin at once one reads, the others wait; it goes with the run that dies
             whole = _mapped(home)
             if whole is None:
-                _fill(home, dataset, begins, shape, inputs, progress, workers, plan, device)
+                _fill(home, dataset, begins, shape, inputs, reading)
                 whole = _mapped(home)
     assert whole is not None
     return whole
@@ -218,13 +227,10 @@ def _mapped(home: Path) -> tuple[NDArray[np.uint16], dict[str, NDArray[Any]]] | 
         return None
 
 
-def _fill(
-    home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, progress: Progress | None,
-    workers: int, plan: str | None, device: str,
-) -> None:  # fmt: skip
+def _fill(home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, reading: Reading) -> None:
     """Fills a cache, or what a run that died left of it: pictures into one file, the rest a handful a file until all are there."""
     rows = dataset.rows
-    light, gpus = _light(dataset, rows, plan, device, progress)  # before there is anything to leave behind
+    light, gpus = _light(dataset, rows, reading)  # before there is anything to leave behind
     shutil.rmtree(home, ignore_errors=True)  # damaged
     partial = home.with_suffix(".partial")
     partial.mkdir(exist_ok=True)
@@ -241,18 +247,18 @@ def _fill(
         found[handful] = part
         with whole_file(files[handful]) as path, path.open("wb") as file:
             np.savez(file, allow_pickle=False, **part)
-        if progress:
-            progress("reading presses" if light is None else "drawing presses", sum(map(len, found)), len(rows))
+        if reading.progress:
+            reading.progress("reading presses" if light is None else "drawing presses", sum(map(len, found)), len(rows))
 
     left = [handful for handful in handfuls if handful not in found]
-    if workers < 2:
+    if reading.workers < 2:
         read = _Reader(dataset, rows, begins, inputs, pictures, light)
         for handful in left:
             told(handful, read(handful))
     else:
         # Fresh processes of one core each: they load neither torch nor what this one has in memory.
         arguments = (dataset.folder, inputs, target, light)
-        for handful, part in work_through(left, LocalCrew(workers, gpus=gpus), _make_worker, arguments, _lost):
+        for handful, part in work_through(left, LocalCrew(reading.workers, gpus=gpus), _make_worker, arguments, _lost):
             if isinstance(part, str):
                 raise DatasetError(part)
             told(handful, part)
@@ -281,16 +287,14 @@ class _Light:
     device: str
 
 
-def _light(
-    dataset: Dataset, rows: list[dict[str, Any]], plan: str | None, device: str, progress: Progress | None
-) -> tuple[_Light | None, list[str]]:
+def _light(dataset: Dataset, rows: list[dict[str, Any]], reading: Reading) -> tuple[_Light | None, list[str]]:
     """None where there is nothing to draw; and the CUDA devices that workers share."""
     if all(map(lit, rows)):
         return None, []
     from gelsim.generate.darkroom import prepare
 
     # A learner on CUDA is content with light from the CPU where there is no way to draw on CUDA.
-    name, found, gpus = prepare(dataset, plan, "cpu" if device == "cpu" else "auto", progress)
+    name, found, gpus = prepare(dataset, reading.plan, "cpu" if reading.device == "cpu" else "auto", reading.progress)
     return _Light(name, found), gpus
 
 

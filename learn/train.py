@@ -38,7 +38,7 @@ from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.logs import Curves
 from learn.model import Network, PaperNet, build, compile_convolutions, load_vgg, parameter_count
 from learn.novelty import fit_novelty, gel_range
-from learn.recordings import CACHE, Archive, Progress, archive
+from learn.recordings import CACHE, Archive, Progress, Reading, archive
 from learn.stream import Stream, share, varied
 
 NOVELTY_DRAWS = 500
@@ -69,7 +69,7 @@ class Place:
         return self.rank == 0
 
 
-def train(
+def train(  # noqa: PLR0913 - a keyword for each flag of its command
     data: Path,
     out: Path,
     config: Config,
@@ -98,45 +98,45 @@ def train(
         LearnError, DatasetError: Something in the input cannot be used.
         KeyboardInterrupt: After an interruption, when last.pt has been saved and the best network until then has its spread's factor.
     """
-    with _place(device) as place:
-        return _train(
-            place, data, out, config, real, resume, force, init, vgg_weights, cache or out / CACHE, plan, device,
-            progress if place.first else None,
-        )  # fmt: skip
-
-
-def _train(
-    place: Place, data: Path, out: Path, config: Config, real: Path | None, resume: bool, force: bool, init: Path | None, vgg: Path | None,
-    cache: Path, plan: str | None, device: str, progress: Progress | None,
-) -> dict[str, Any]:  # fmt: skip
     began = time.perf_counter()
-    datasets = [load_dataset(path) for path in (data, real) if path is not None]
-    provenance = _provenance(datasets, init, vgg)
-    # What can be refused before presses are read is refused before anything is written: nothing then stands in a corrected command's way.
-    share(0, config.train.batch, place.rank, place.world)
-    divided = _divide(datasets, config)
-    kept = checkpoints.load(out / "last.pt") if resume and (out / "last.pt").is_file() else None
-    network = _network(config, kept, init, vgg, datasets, divided)
-    if place.first:
-        _open_run(out, config, provenance, resume, force)
-    try:
-        parts, presses = _gather(place, datasets, divided, config, cache, progress, plan, device)
-        read = time.perf_counter() - began
-        stream, held = Stream(parts, config, place.device), batches(presses, place.device)
-    except (GelsimError, OSError):
-        if place.first and not resume:
-            _take_back(out)
-        raise
-    network = network.to(place.device)
-    optimizer, averaged = _optimizer(network, config), _averaged(network, kept)
+    with _place(device) as place:
+        datasets = [load_dataset(path) for path in (data, real) if path is not None]
+        provenance = _provenance(datasets, init, vgg_weights)
+        # What can be refused before presses are read is refused before anything is written: nothing stands in a corrected command's way.
+        share(0, config.train.batch, place.rank, place.world)
+        divided = _divide(datasets, config)
+        if resume and (out / "last.pt").is_file():
+            begun = checkpoints.load(out / "last.pt")
+        else:
+            network = _network(config, init, vgg_weights, datasets, divided)
+            begun = Checkpoint(config, 0, network.state_dict(), provenance=provenance)
+        if place.first:
+            _open_run(out, config, provenance, resume, force)
+        reading = Reading(cache or out / CACHE, progress if place.first else None, config.train.workers, plan, device)
+        try:
+            parts, presses = _gather(place, datasets, divided, config, reading)
+            read = time.perf_counter() - began
+            stream = Stream(parts, config, place.device)
+        except (GelsimError, OSError):
+            if place.first and not resume:
+                _take_back(out)
+            raise
+        report = _steps(place, out, begun, stream, presses, reading.progress)
+        if report:
+            report |= {"seconds_reading": round(read, 1), "seconds": round(time.perf_counter() - began, 1)}
+            _write_json(out / "report.json", report)
+        return report
+
+
+def _steps(place: Place, out: Path, begun: Checkpoint, stream: Stream, presses: list[Press], progress: Progress | None) -> dict[str, Any]:
+    """From where a run stands to its last step; what the first process reports of it. `presses`: those that validate."""
+    config, first, best, held = begun.config, begun.step, begun.best, batches(presses, place.device)
+    network = begun.build().to(place.device)
+    optimizer, averaged = _optimizer(network, config), _averaged(network, begun)
+    if begun.optimizer is not None:
+        optimizer.load_state_dict(begun.optimizer)
     if config.train.compile:
         compile_convolutions(network)
-    first = 0
-    best = math.inf
-    if kept is not None:
-        assert kept.optimizer is not None
-        optimizer.load_state_dict(kept.optimizer)
-        first, best = kept.step, kept.best
     model: torch.nn.Module = torch.nn.parallel.DistributedDataParallel(network) if place.world > 1 else network
     settings = config.train
     curves = Curves(out, first) if place.first else None
@@ -144,7 +144,8 @@ def _train(
     spent, since, losses = 0.0, time.perf_counter(), []
 
     def save(step: int) -> None:
-        state = Checkpoint(config, step, network.state_dict(), optimizer.state_dict(), averaged.state_dict(), best, provenance=provenance)
+        state = Checkpoint(config, step, network.state_dict(), optimizer.state_dict(), averaged.state_dict(), best)
+        state.provenance = begun.provenance
         checkpoints.save(out / "last.pt", state)
 
     with _stop_signal(place) as stop:
@@ -178,7 +179,7 @@ def _train(
                     if found.get("validation_loss", mean) < best:
                         best = found.get("validation_loss", mean)
                         checkpoints.save(
-                            out / "model.pt", Checkpoint(config, done, averaged.state_dict(), best=best, provenance=provenance)
+                            out / "model.pt", Checkpoint(config, done, averaged.state_dict(), best=best, provenance=begun.provenance)
                         )
                     save(done)
                     curves.draw()
@@ -190,28 +191,25 @@ def _train(
                 if curves is not None:
                     curves.close()
                     if (out / "model.pt").is_file():  # the best so far, as it may be all that there will be
-                        _finish(out, config, stream, presses, place.device, provenance)
+                        _finish(out, stream, presses, place.device)
                 raise KeyboardInterrupt
     if place.world > 1:
         distributed.barrier()
     if curves is None:
         return {}
     curves.close()
-    report = _finish(out, config, stream, presses, place.device, provenance)
+    report = _finish(out, stream, presses, place.device)
     report |= {
         "parameters": parameter_count(network),
         "device": _device_name(place.device),
         "devices": place.world,
         "steps_now": settings.steps - first,
         "videos_per_s": round((settings.steps - first) * settings.batch / spent, 2) if spent else None,
-        "seconds_reading": round(read, 1),
-        "seconds": round(time.perf_counter() - began, 1),
         "presses": stream.presses,
         "without_contact": stream.without_contact,
         "memory_mb": _memory(place.device),
         "prediction": _prediction_cost(out / "model.pt", presses),
     }
-    _write_json(out / "report.json", report)
     return report
 
 
@@ -237,11 +235,11 @@ def _optimizer(network: Network, config: Config) -> torch.optim.Optimizer:
     return torch.optim.AdamW(groups, lr=settings.rate)
 
 
-def _averaged(network: Network, kept: Checkpoint | None) -> Network:
+def _averaged(network: Network, begun: Checkpoint) -> Network:
     """The network whose weights follow those of the trained one slowly: what is validated and kept."""
     averaged = copy.deepcopy(network).eval().requires_grad_(False)
-    if kept is not None and kept.averaged is not None:
-        averaged.load_state_dict(kept.averaged)
+    if begun.averaged is not None:
+        averaged.load_state_dict(begun.averaged)
     return averaged
 
 
@@ -253,11 +251,8 @@ def _average(averaged: Network, network: Network, step: int, most: float) -> Non
         kept.lerp_(now, 1 - decay)
 
 
-def _network(
-    config: Config, kept: Checkpoint | None, init: Path | None, vgg: Path | None, datasets: list[Dataset], divided: list[Sides]
-) -> Network:
-    if kept is not None:
-        return kept.build()
+def _network(config: Config, init: Path | None, vgg: Path | None, datasets: list[Dataset], divided: list[Sides]) -> Network:
+    """What a run begins with."""
     if init is not None:
         begun = checkpoints.load(init)
         if (begun.config.model, begun.config.input) != (config.model, config.input):
@@ -289,23 +284,17 @@ def _divide(datasets: list[Dataset], config: Config) -> list[Sides]:
 
 
 def _gather(
-    place: Place, datasets: list[Dataset], divided: list[Sides], config: Config, cache: Path, progress: Progress | None, plan: str | None,
-    device: str,
-) -> tuple[list[Archive], list[Press]]:  # fmt: skip
+    place: Place, datasets: list[Dataset], divided: list[Sides], config: Config, reading: Reading
+) -> tuple[list[Archive], list[Press]]:
     """The archives to train on, and the presses to validate on: real ones where there are any."""
     if not place.first:  # the first process fills the cache, the others map it
         distributed.barrier()
-    workers = config.train.workers
-
-    def read(number: int, indices: list[int]) -> Archive:
-        return archive(datasets[number], indices, config.input, cache, progress, workers, plan, device)
-
-    parts = [read(number, train) for number, (train, _) in enumerate(divided)]
+    parts = [archive(dataset, train, config.input, reading) for dataset, (train, _) in zip(datasets, divided, strict=True)]
     with_validation = [number for number, (_, validation) in enumerate(divided) if validation]
     held: list[Press] = []
     if place.first and with_validation:
         number = with_validation[-1]
-        part = read(number, divided[number][1])
+        part = archive(datasets[number], divided[number][1], config.input, reading)
         presses = held_presses(part, config.input, config.model.model == "paper", config.train.seed)
         held = [press for press in presses if press is not None]
     if place.first and place.world > 1:
@@ -332,12 +321,10 @@ def spread_factor(found: Estimates, target: np.ndarray) -> float:
     return float(np.sqrt((((found.mean - target) / found.spread)[known] ** 2).mean()))
 
 
-def _finish(
-    out: Path, config: Config, stream: Stream, held: list[Press], device: torch.device, provenance: dict[str, Any]
-) -> dict[str, Any]:
+def _finish(out: Path, stream: Stream, held: list[Press], device: torch.device) -> dict[str, Any]:
     """Fits the spread's factor and the novelty distance to the best network and writes them with it, and the range of gels."""
     best = checkpoints.load(out / "model.pt")
-    network = best.build().to(device)
+    config, network = best.config, best.build().to(device)
     # Beyond the last step: draws that no step saw.
     start = config.train.steps * config.train.batch
     last, batch = start + min(NOVELTY_DRAWS, 10 * stream.presses), config.train.batch
@@ -360,7 +347,7 @@ def _finish(
     novelty, gels = fit_novelty(trained, statistics), gel_range(stream.gels())
     best.novelty, best.gels = novelty.to_plain(), gels.to_plain() if gels else None
     checkpoints.save(out / "model.pt", best)
-    return report | {"spread_factor": best.spread_factor, "novelty_threshold": novelty.threshold, "provenance": provenance}
+    return report | {"spread_factor": best.spread_factor, "novelty_threshold": novelty.threshold, "provenance": best.provenance}
 
 
 def _memory(device: torch.device) -> float:

@@ -37,7 +37,7 @@ def truth(width: int, height: int) -> Parameters:
     return Parameters(values, np.array(lights), colours, half, width / 2, (4.0, 1.49, 1.41))
 
 
-def write_photos(
+def write_photos(  # noqa: PLR0913 - a keyword for each flag of its command
     folder: Path, width: int, height: int, count: int, *, fem: int = 0, spp: int = 144, seed: int = 1, markers: bool = False,
     gel_known: bool = False, balls: tuple[float, ...] = (BALL_MM,),
 ) -> tuple[Parameters, np.ndarray]:  # fmt: skip

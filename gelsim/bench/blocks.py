@@ -52,7 +52,7 @@ def known() -> Iterator[Known]:
 def _block(shake: float = 0.25) -> tuple[TetMesh, NDArray[np.bool_]]:
     """A block of 2 mm with shaken vertices, and which of its nodes are on the boundary."""
     line = np.linspace(0, 2 * MM, 4)
-    mesh = box_mesh(line, line, line, "bonded", "top", "side", shake=shake)
+    mesh = box_mesh(line, line, line, ("bonded", "top", "side"), shake=shake)
     boundary = np.zeros(len(mesh.rest_positions), bool)
     boundary[np.unique(outer_faces(mesh.tets))] = True
     return mesh, boundary
@@ -126,7 +126,7 @@ def cook_tip(cells: int, modulus_kpa: float, force: float, locked: bool = False)
     """
     line = np.linspace(0.0, 1.0, cells + 1)
     thickness = 44.0 / cells
-    mesh = box_mesh(line, line, np.array([0.0, 1.0]), "back", "front", "rim")
+    mesh = box_mesh(line, line, np.array([0.0, 1.0]), ("back", "front", "rim"))
     s, t, w = mesh.rest_positions.T
     nodes = np.column_stack([48 * s, 44 * s + t * (44 - 28 * s), thickness * w]) * MM
     mesh = TetMesh(nodes, mesh.tets, mesh.groups)
@@ -155,7 +155,7 @@ def cook_tip(cells: int, modulus_kpa: float, force: float, locked: bool = False)
 # ---------------------------------------------------------------------------------------------------------------- bonded discs
 def _compressed(radius_mm: float, cells: int, half_mm: float, material: ElasticMaterial, strain: float) -> float:
     """Force [N] on a disc of height 2 half_mm, bonded to both platens; a quarter of its half, the middle plane sliding."""
-    disc = quarter_disc(radius_mm, cells, half_mm * np.array([0, 0.35, 0.65, 0.85, 1.0]), "middle", "bonded", "rim")
+    disc = quarter_disc(radius_mm, cells, half_mm * np.array([0, 0.35, 0.65, 0.85, 1.0]), ("middle", "bonded", "rim"))
     node = disc.rest_positions
     top = node[:, 2] > half_mm * MM - 1e-12
     fixed = node == 0.0

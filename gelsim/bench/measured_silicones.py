@@ -47,7 +47,7 @@ def specimen() -> TetMesh:
     """A quarter of the upper half of a cylinder, its middle plane sliding; its top and its flank may touch the platen."""
     half = HEIGHT_MM / 2
     z = half * (np.array([0, 0.25, 0.45, 0.62, 0.76, 0.87, 0.94, 1.0]) - 1.0)
-    mesh = quarter_disc(RADIUS_MM, 8, z, "sliding", "top", "flank")
+    mesh = quarter_disc(RADIUS_MM, 8, z, ("sliding", "top", "flank"))
     groups = {
         "bonded": np.zeros((0, 6), np.int32),
         "sliding": mesh.groups["sliding"],

@@ -9,18 +9,18 @@ import importlib
 import os
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from gelsim import fem
 from gelsim.bench import SECTIONS, report
 from gelsim.bench.section import Case, Options, Row, Section
-from gelsim.errors import GelsimError, SceneError, SolveStatus
+from gelsim.errors import GelsimError, SolveStatus
 from gelsim.pipeline import stages
 from gelsim.tables import write_csv
 from gelsim.work.ledger import Ledger
-from gelsim.work.workers import Handful, LocalCrew, Work, work_through
+from gelsim.work.workers import Handful, LocalCrew, Work, check_count, load_average, work_through
 
 RESULTS = "results.jsonl"
 
@@ -29,13 +29,11 @@ def load(name: str) -> Section:
     return importlib.import_module(SECTIONS[name]).SECTION
 
 
-def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | None = None, resume: bool = False, force: bool = False,
-        limit: int | None = None, page: Path | None = None, workers: int = 1,
-        progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
+def run(out: Path, options: Options | None = None, *, resume: bool = False, force: bool = False, limit: int | None = None,
+        page: Path | None = None, workers: int = 1, progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
     """Measures the cases and writes results.jsonl, one CSV a section, bench.md and plots into `out`.
 
     Args:
-        sections: Their names; None for all, or those that `page` has places for.
         limit: Stop after so many cases that were not known before.
         page: A Markdown page whose tables of these sections are replaced.
         workers: Processes that share the cases, each on one thread.
@@ -44,10 +42,9 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
             place for a section.
     """
     options = options or Options()
-    if not 1 <= workers <= 1024:
-        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
-    held = report.places(page) if page is not None and sections is None else []
-    asked = set(sections if sections is not None else held or SECTIONS)
+    check_count(workers)
+    held = report.places(page) if page is not None else []
+    asked = set(options.sections or held or SECTIONS)
     wanted = [name for name in SECTIONS if name in asked]
     if page is not None:
         report.check_page(page, wanted)
@@ -61,8 +58,7 @@ def run(out: Path, *, sections: Iterable[str] | None = None, options: Options | 
     for number, row in enumerate(_measured(new, options, workers), start=1):
         if progress:
             progress("bench", len(todo) - len(new) + number, len(todo))
-        busy = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
-        ledger.add(row | {"load": busy, "cores": os.cpu_count(), "workers": workers, "made_by": made_by})
+        ledger.add(row | {"load": load_average(), "cores": os.cpu_count(), "workers": workers, "made_by": made_by})
     written = [_written(out, name, [f"{s}/{case.name}" for s, case in todo if s == name], known, options.quick) for name in wanted]
     (out / "bench.md").write_text("\n".join(f"### {load(table.section).title}\n\n{table.markdown}" for table in written))
     if page is not None:

@@ -20,6 +20,8 @@ DATA_VARIABLE = "GELSIM_DATA"
 class Options:
     """What the command was asked for."""
 
+    sections: tuple[str, ...] | None = None
+    """Their names; None: all, or those that a page has places for."""
     quick: bool = False
     data: Path | None = field(default_factory=lambda: Path(os.environ[DATA_VARIABLE]) if DATA_VARIABLE in os.environ else None)
     """Folder of measured data of others, which the project does not hold."""

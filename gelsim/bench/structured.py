@@ -14,6 +14,8 @@ from gelsim.geometry import TetMesh, mirror, outer_faces, quadratic_tets, tet_vo
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
+Names = tuple[str, str, str]
+"""Of the groups of faces: bottom, top, and what is between."""
 
 
 def kuhn_box(x: Array, y: Array, z: Array) -> tuple[Array, NDArray[np.int32]]:
@@ -28,12 +30,12 @@ def kuhn_box(x: Array, y: Array, z: Array) -> tuple[Array, NDArray[np.int32]]:
     return points, tets
 
 
-def box_mesh(x: Array, y: Array, z: Array, bottom: str, top: str, side: str, symmetry: str = "", shake: float = 0.0,
-             bend: float = 0.0) -> TetMesh:  # fmt: skip
+def box_mesh(x: Array, y: Array, z: Array, names: Names, symmetry: str = "", shake: float = 0.0, bend: float = 0.0) -> TetMesh:
     """A box of ten-node tets [m] with its faces grouped by name; faces on the planes of `symmetry` belong to none.
 
     `shake` moves inner vertices, `bend` inner mid-side nodes, at random, by up to this share of the smallest cell.
     """
+    bottom, top, side = names
     rng = np.random.default_rng(7)
     vertices, tets = kuhn_box(x, y, z)
     cell = min(np.diff(line).min() for line in (x, y, z))
@@ -48,14 +50,14 @@ def box_mesh(x: Array, y: Array, z: Array, bottom: str, top: str, side: str, sym
     nodes[len(vertices) :] = moved(nodes[len(vertices) :], bend)
     faces = outer_faces(tets10)
     centre = nodes[faces[:, :3]].mean(axis=1)
-    names = np.full(len(faces), side, dtype=object)
-    names[centre[:, 2] < low[2] + 1e-12] = bottom
-    names[centre[:, 2] > high[2] - 1e-12] = top
+    of_face = np.full(len(faces), side, dtype=object)
+    of_face[centre[:, 2] < low[2] + 1e-12] = bottom
+    of_face[centre[:, 2] > high[2] - 1e-12] = top
     for axis in symmetry:
         column = "xy".index(axis)
         nodes[np.abs(nodes[:, column]) < 1e-12, column] = 0.0
-        names[centre[:, column] < low[column] + 1e-12] = ""
-    groups = {str(name): faces[names == name] for name in sorted(set(names)) if name}
+        of_face[centre[:, column] < low[column] + 1e-12] = ""
+    groups = {str(name): faces[of_face == name] for name in sorted(set(of_face)) if name}
     return TetMesh(nodes, tets10, groups, frozenset(symmetry))
 
 
@@ -77,22 +79,20 @@ def flat_gel(fine_mm: float = 0.5, reach_mm: float = 2.5, layers: int = 2, half_
     """A quarter of a flat gel, fine around the origin, thinner layers above; mirrored at the planes named in `whole`."""
     line = graded(fine_mm * MM, reach_mm * MM, half_mm * MM, 1.7)
     z = -thickness_mm * MM * np.linspace(1, 0, layers + 1) ** 1.4
-    mesh = box_mesh(line, line, z, "bonded", "coated", "side", "xy")
+    mesh = box_mesh(line, line, z, ("bonded", "coated", "side"), "xy")
     for axis in whole:
         mesh = mirror(mesh, axis)
     return mesh
 
 
-def quarter_disc(
-    radius_mm: float, cells: int, z_mm: Array, bottom: str, top: str, side: str, cap_radius_mm: float | None = None
-) -> TetMesh:
+def quarter_disc(radius_mm: float, cells: int, z_mm: Array, names: Names, cap_radius_mm: float | None = None) -> TetMesh:
     """A quarter of a round block, finer toward its rim, with its middles on the circle; with a spherical underside of `cap_radius_mm`.
 
     The square grid is mapped by x = u √(1 - v²/2), y = v √(1 - u²/2), which takes the unit square's edge to the unit circle.
     """
     line = np.linspace(0, 1, cells + 1)
     line = line * (1.6 - 0.6 * line) if cap_radius_mm is None else line * (0.6 + 0.4 * line)
-    mesh = box_mesh(line, line, z_mm * MM, bottom, top, side, "xy")
+    mesh = box_mesh(line, line, z_mm * MM, names, "xy")
     u, v, z = mesh.rest_positions.T
     x, y = radius_mm * MM * u * np.sqrt(1 - v**2 / 2), radius_mm * MM * v * np.sqrt(1 - u**2 / 2)
     if cap_radius_mm is not None:
@@ -105,6 +105,6 @@ def quarter_disc(
 def soft_cap() -> TetMesh:
     """A quarter of a soft object in its own frame: a ball's cap of R = 5 mm, 8 mm across, on a foot, 8 mm tall overall."""
     z = 8.0 * np.array([0.0, 0.08, 0.2, 0.45, 1.0])
-    mesh = quarter_disc(4.0, 5, z, "contact", "base", "flank", cap_radius_mm=5.0)
+    mesh = quarter_disc(4.0, 5, z, ("contact", "base", "flank"), cap_radius_mm=5.0)
     groups = {"base": mesh.groups["base"], "contact": np.vstack([mesh.groups["contact"], mesh.groups["flank"]])}
     return TetMesh(mesh.rest_positions, mesh.tets, groups, mesh.symmetry)

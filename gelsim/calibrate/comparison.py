@@ -51,7 +51,7 @@ ROWS = 24
 SCORES = ("l1", "mse", "ssim", "psnr_db")
 
 
-def compare(
+def compare(  # noqa: PLR0913 - a keyword for each flag of its command
     folder: Path, out: Path, *, sensor: str | None = None, frames: Path | None = None, friction: float | str = 0.8, mode: str = "path",
     force: bool = False, device: str = "auto", progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip

@@ -51,6 +51,18 @@ class Data:
 
 
 @dataclass(frozen=True, eq=False)
+class Prior:
+    """What is believed before the photographs are seen: normal distributions."""
+
+    centre: Parameters
+    """Of the sensor; widths and bounds follow from it (`Parameters.prior`)."""
+    press_sd: Array
+    """Of what is in PRESS [mm], shape (P, 5), about the presses at the start."""
+    frozen: NDArray[np.bool_]
+    """Parameters of the sensor's vector that are known, and stay as they begin."""
+
+
+@dataclass(frozen=True, eq=False)
 class Fitted:
     """Where the fit ended."""
 
@@ -145,31 +157,20 @@ def fit(
     presses: Array,
     data: Data,
     dents: Dents,
-    *,
-    believed: Parameters | None = None,
-    press_sd: Array | None = None,
-    frozen: NDArray[np.bool_] | None = None,
-    iterations: int = 30,
-    progress: Callable[[int, int], None] | None = None,
+    prior: Prior,
+    iterations: int,
+    progress: Callable[[int, int], None],
 ) -> Fitted:
-    """Fits sensor and presses from a start.
-
-    Args:
-        believed: Centre of the priors (default: the start).
-        press_sd: Prior of what is in PRESS [mm], shape (P, 5), about `presses` (default: none).
-        frozen: Parameters of the vector that stay.
-    """
-    believed = believed or start
-    sd, low, high = believed.prior()
-    frozen = np.zeros(len(sd), bool) if frozen is None else frozen
-    sensor_count, press_count = len(sd), presses.size
-    centre = np.concatenate([believed.vector, presses.ravel()])
-    pull = np.concatenate([1 / sd**2, (1 / press_sd**2).ravel() if press_sd is not None else np.zeros(press_count)])
+    """Fits sensor and presses, shape (P, 5), from a start; `progress` is told iterations and their most."""
+    sd, low, high = prior.centre.prior()
+    sensor_count = len(sd)
+    centre = np.concatenate([prior.centre.vector, presses.ravel()])
+    pull = np.concatenate([1 / sd**2, (1 / prior.press_sd**2).ravel()])
     floor = np.concatenate([low, np.tile([-np.inf, -np.inf, SHALLOWEST, -np.inf, -np.inf], len(presses))])
     tops = np.full(presses.shape, np.inf)
     tops[:, 2] = dents.deepest(effective_radius(data.balls_mm, start.globals[2]))
     ceiling = np.concatenate([high, tops.ravel()])
-    free_always = np.concatenate([~frozen, np.ones(press_count, bool)])
+    free_always = np.concatenate([~prior.frozen, np.ones(presses.size, bool)])
 
     def evaluate(vector: Array) -> Evaluation:
         return Evaluation(start.with_vector(vector[:sensor_count]), vector[sensor_count:].reshape(-1, len(PRESS)), data, dents)
@@ -186,11 +187,10 @@ def fit(
         sigma = max(1.4826 * float(np.median(np.abs(residual[counted]))), 0.3)
         cost = _cost(residual, data.weight, sigma) + float(pull @ (vector - centre) ** 2)
         robust = data.weight * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
-        hessian, gradient, scores = _normal(here, residual, robust, frozen)
+        hessian, gradient, scores = _normal(here, residual, robust, prior.frozen)
         hessian += np.diag(pull)
         gradient -= pull * (vector - centre)
-        if progress:
-            progress(done, iterations)
+        progress(done, iterations)
         better, gain = False, 0.0
         for _ in range(8):
             # A parameter at a bound that wants to go on stays; one that would pass its bound goes there, and the others know of it.

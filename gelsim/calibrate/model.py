@@ -22,6 +22,7 @@ from gelsim.calibrate.dent import DentFamily, effective_radius
 from gelsim.calibrate.drag import carried
 from gelsim.optics.camera import solve_slope
 from gelsim.optics.rest import DARKEST
+from gelsim.optics.srgb import SRGB_FOOT, srgb_linear, srgb_tone
 
 Array = NDArray[np.float64]
 
@@ -281,14 +282,12 @@ def tone(linear: Array, gamma: float) -> tuple[Array, Array]:
     """Level (0 … 255, clipped) of a linear value, and its derivative."""
     inside = (linear > 0) & (linear < 1)
     value = np.clip(linear, 1e-9, 1.0)
-    low = value <= 0.0031308
-    srgb = np.where(low, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    steep = np.where(low, 12.92, 1.055 / 2.4 * value ** (1 / 2.4 - 1))
+    srgb = srgb_tone(value)
+    steep = np.where(value <= SRGB_FOOT, 12.92, 1.055 / 2.4 * value ** (1 / 2.4 - 1))
     level = 255.0 * srgb**gamma
     return level, np.where(inside, level * gamma / srgb * steep, 0.0)
 
 
 def untone(level: Array, gamma: float) -> Array:
     """Linear value of a level, the inverse of `tone`."""
-    srgb = np.clip(level / 255.0, 0, 1) ** (1 / gamma)
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return srgb_linear(np.clip(level / 255.0, 0, 1) ** (1 / gamma))

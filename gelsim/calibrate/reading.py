@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gelsim.data.corners import Corners
 from gelsim.data.video import MOST_FRAMES, VIDEOS, video_frames, video_size
 from gelsim.errors import SceneError
-from gelsim.optics.isp import srgb_tone
+from gelsim.optics.srgb import srgb_tone
 
 Array = NDArray[np.float64]
 

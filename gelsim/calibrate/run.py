@@ -9,7 +9,6 @@ depth alone (where not given) are then found with the sensor held.
 
 from __future__ import annotations
 
-import importlib.metadata
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from gelsim.calibrate import dots, drawing, pictures, resting
 from gelsim.calibrate import start as beginning
 from gelsim.calibrate.dent import SHALLOWEST, Dents, effective_radius, solve_dents
-from gelsim.calibrate.fit import Data, Fitted, brightness, fit
+from gelsim.calibrate.fit import Data, Fitted, Prior, brightness, fit
 from gelsim.calibrate.model import Rest, rays
 from gelsim.calibrate.parameters import GLOBALS, PRESS, Parameters, curvature_of, empty_scene, in_units, light_names, to_scene
 from gelsim.calibrate.photos import Photos, read_photos
@@ -31,7 +30,7 @@ from gelsim.calibrate.preset import fitted_head, write_preset
 from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.optics.rest import even_part, rest_name, save_levels
-from gelsim.pipeline import outputs
+from gelsim.pipeline import outputs, stages
 from gelsim.scene.definition import Gel, Scene
 from gelsim.scene.layers import build_scene, is_preset
 
@@ -84,6 +83,9 @@ class _Job:
     dents: Dents
     frozen_globals: NDArray[np.bool_]
     device: str
+    show: Progress
+    warnings: list[str]
+    """Grows on the way."""
 
     @property
     def size(self) -> tuple[float, float]:
@@ -134,11 +136,11 @@ def calibrate(
         job, mm_per_px = _prepare(photos, _base(sensor), Path(scratch), device, show, warnings)
         full_rest = Path(scratch) / "full.png"
         save_levels(job.rest, full_rest)
-        first, presses, states, judged = _states(job, mm_per_px, show)
+        first, presses, states, judged = _states(job, mm_per_px)
         state = min(states, key=lambda each: each.error)
         sd = _press_sd(job, presses)
         if len(judged):
-            states.append(_of_all(job, state, presses, sd, judged, show))
+            states.append(_of_all(job, state, presses, sd, judged))
             state = min(state, states[-1], key=lambda each: each.error)
         places, press_sd = presses.copy(), np.full(presses.shape, np.nan)
         count = state.fitted.parameters.vector.size
@@ -150,10 +152,10 @@ def calibrate(
             # Of a test press three numbers are found, place and depth; drag is found beside them, and said apart.
             straight = sd.copy()
             straight[:, 3:] = UNDRAGGED
-            found = _locate(job, state, _rough(job, state.fitted.parameters)[others], straight[others], others, show)
+            found = _locate(job, state, _rough(job, state.fitted.parameters)[others], straight[others], others)
             dragged[others] = places[others] = found.presses
             if photos.markers:
-                found = _locate(job, state, places[others], sd[others], others, show)
+                found = _locate(job, state, places[others], sd[others], others)
                 dragged[others] = found.presses
             press_sd[others] = np.sqrt(np.maximum(np.diag(found.covariance)[count:], 0)).reshape(-1, len(PRESS))
             places[~photos.test] = dragged[~photos.test]
@@ -162,13 +164,13 @@ def calibrate(
         scene = _full_scene(job, fitted.parameters, full_rest)
         if photos.markers:
             scene = dots.with_grid(scene, photos.no_contact, warnings)
-        shown_rest, shown = _draw(job, scene, fitted.parameters, places, np.arange(len(places)), SCORE_SPP, show, "pictures")
+        shown_rest, shown = _draw(job, scene, fitted.parameters, places, np.arange(len(places)), SCORE_SPP, "pictures")
         rows = _rows(test if len(test) else np.flatnonzero(~photos.test))
         before = _full_scene(job, first, full_rest)
-        before_rest, before_shown = _draw(job, before, first, presses[rows], rows, CORRECTION_SPP, show, "before")
-        report = _report(job, scene, fitted, state.believed, places, press_sd, shown_rest, shown, warnings)
+        before_rest, before_shown = _draw(job, before, first, presses[rows], rows, CORRECTION_SPP, "before")
+        report = _report(job, state, places, press_sd, shown_rest, shown)
         if len(test) and photos.markers:
-            _, drawn = _draw(job, scene, fitted.parameters, dragged[test], test, SCORE_SPP, show, "dragged")
+            _, drawn = _draw(job, scene, fitted.parameters, dragged[test], test, SCORE_SPP, "dragged")
             report["scores"]["test_dragged"] = _dragged(report, photos, test, dragged[test], drawn)
         report["states"] = {
             "presses_left_out": [photos.files[index] for index in judged],
@@ -179,7 +181,7 @@ def calibrate(
         report |= {"out": str(out), "sensor": sensor, "seconds": round(time.perf_counter() - begun, 1)}
         plain = outputs.plain_json(report)
         assert isinstance(plain, dict)
-        _write(target, out, scene, plain, job, sensor, rows, (shown_rest, shown[rows]), (before_rest, before_shown))
+        _write(target, out, scene, plain, job, rows, (shown_rest, shown[rows]), (before_rest, before_shown))
     return plain
 
 
@@ -215,7 +217,7 @@ class _State:
     """Mean squared error of the renderer's pictures about the dents of the presses that judge [levels squared]."""
 
 
-def _states(job: _Job, mm_per_px: float, show: Progress) -> tuple[Parameters, Array, list[_State], NDArray[np.int64]]:
+def _states(job: _Job, mm_per_px: float) -> tuple[Parameters, Array, list[_State], NDArray[np.int64]]:
     """The start, all presses at the start, the states of the fit with their errors, and the presses that judged them."""
     train = np.flatnonzero(~job.photos.test)
     left_out = np.arange(len(train)) % VALIDATION == VALIDATION // 2
@@ -225,39 +227,39 @@ def _states(job: _Job, mm_per_px: float, show: Progress) -> tuple[Parameters, Ar
     seed, presses = _seed(job, mm_per_px)
     sd = _press_sd(job, presses)
     data = job.data(kept, None)
-    show("lights", 0, 1)
+    job.show("lights", 0, 1)
     first = beginning.choose_lights(seed, presses[kept], data, job.dents)
-    show("lights", 1, 1)
-    fitted = _fit(job, first, presses[kept], sd[kept], data, first, 30, "fit", show)
-    believed, fitted = _without_needless_lights(job, first, fitted, sd[kept], data, show)
+    job.show("lights", 1, 1)
+    fitted = _fit(job, first, presses[kept], sd[kept], data, first, 30, "fit")
+    believed, fitted = _without_needless_lights(job, first, fitted, sd[kept], data)
     presses[kept] = fitted.presses
     states = [_State("fit", fitted, believed, kept, None)]
     presses[judging] = _rough(job, fitted.parameters)[judging]
     for number in range(ROUNDS + 1):
         state = states[-1]
         if len(judging):
-            presses[judging] = _locate(job, state, presses[judging], sd[judging], judging, show).presses
-        pictures, added = _correction(job, state, presses, train, show, f"render {number + 1}")
+            presses[judging] = _locate(job, state, presses[judging], sd[judging], judging).presses
+        pictures, added = _correction(job, state, presses, train, f"render {number + 1}")
         state.error, state.correction = _dent_error(job, pictures, judging if len(judging) else kept), added
         if number < ROUNDS:
             data = job.data(kept, added)
-            fitted = _fit(job, state.fitted.parameters, presses[kept], sd[kept], data, believed, 10, f"fit {number + 2}", show)
+            fitted = _fit(job, state.fitted.parameters, presses[kept], sd[kept], data, believed, 10, f"fit {number + 2}")
             presses[kept] = fitted.presses
             states.append(_State(f"fit after render {number + 1}", fitted, believed, kept, added))
     return first, presses, states, judging
 
 
-def _of_all(job: _Job, state: _State, presses: Array, sd: Array, judged: NDArray[np.int64], show: Progress) -> _State:
+def _of_all(job: _Job, state: _State, presses: Array, sd: Array, judged: NDArray[np.int64]) -> _State:
     """The fit gone on from a state with the presses that judged it, which it must then explain at least as well as before."""
     train = np.flatnonzero(~job.photos.test)
     begun = presses.copy()
     begun[state.which] = state.fitted.presses
-    begun[judged] = _locate(job, state, begun[judged], sd[judged], judged, show).presses
+    begun[judged] = _locate(job, state, begun[judged], sd[judged], judged).presses
     data = job.data(train, state.correction)
-    fitted = _fit(job, state.fitted.parameters, begun[train], sd[train], data, state.believed, 10, "fit of all", show)
+    fitted = _fit(job, state.fitted.parameters, begun[train], sd[train], data, state.believed, 10, "fit of all")
     every = _State("fit of all presses", fitted, state.believed, train, state.correction)
     begun[train] = fitted.presses
-    pictures, every.correction = _correction(job, every, begun, train, show, "render all")
+    pictures, every.correction = _correction(job, every, begun, train, "render all")
     every.error = _dent_error(job, pictures, judged)
     return every
 
@@ -337,7 +339,9 @@ def _prepare(photos: Photos, base: Scene, scratch: Path, device: str, show: Prog
     for name in ("gel.curvature", "gel.thickness_mm"):
         frozen[GLOBALS.index(name)] = photos.gel is not None
     kept = Rest(small, even_part(small))
-    return _Job(photos, base, factor, reduced, rest, kept, small_path, contacts, counted, dents, frozen, device), mm_per_px * factor
+    return _Job(
+        photos, base, factor, reduced, rest, kept, small_path, contacts, counted, dents, frozen, device, show, warnings
+    ), mm_per_px * factor
 
 
 def _within_gel(photos: Photos, gel: Gel, warnings: list[str]) -> NDArray[np.bool_]:
@@ -403,37 +407,31 @@ def _press_sd(job: _Job, presses: Array) -> Array:
 
 
 def _fit(
-    job: _Job, begin: Parameters, presses: Array, sd: Array, data: Data, believed: Parameters, iterations: int, name: str, show: Progress
+    job: _Job, begin: Parameters, presses: Array, sd: Array, data: Data, believed: Parameters, iterations: int, name: str
 ) -> Fitted:  # fmt: skip
-    return fit(
-        begin, presses, data, job.dents, believed=believed, press_sd=sd, frozen=job.frozen(begin),
-        iterations=iterations, progress=lambda done, total: show(name, done, total),
-    )  # fmt: skip
+    prior = Prior(believed, sd, job.frozen(begin))
+    return fit(begin, presses, data, job.dents, prior, iterations, lambda done, total: job.show(name, done, total))
 
 
-def _without_needless_lights(
-    job: _Job, first: Parameters, rough: Fitted, sd: Array, data: Data, show: Progress
-) -> tuple[Parameters, Fitted]:
+def _without_needless_lights(job: _Job, first: Parameters, rough: Fitted, sd: Array, data: Data) -> tuple[Parameters, Fitted]:
     """The start and the rough fit less the lights that it does as well without: the start's lights stand on a grid, and a place between two
     of its points took two of them. The weakest goes first, until one is needed."""
     while len(rough.parameters.geometry) > 1:
         lit = brightness(rough.parameters, rough.presses, data, job.dents)
         kept = np.delete(np.arange(len(lit) + 1), int(lit.argmin()))
         fewer, begin = (replace(each, geometry=each.geometry[kept[:-1]], colours=each.colours[kept]) for each in (first, rough.parameters))
-        trial = _fit(job, begin, rough.presses, sd, data, fewer, 10, f"fit of {len(kept) - 1} lights", show)
+        trial = _fit(job, begin, rough.presses, sd, data, fewer, 10, f"fit of {len(kept) - 1} lights")
         if trial.rms**2 > NEEDED * rough.rms**2:
             break
         first, rough = fewer, trial
     return first, rough
 
 
-def _locate(job: _Job, state: _State, presses: Array, sd: Array, which: NDArray[np.int64], show: Progress) -> Fitted:
+def _locate(job: _Job, state: _State, presses: Array, sd: Array, which: NDArray[np.int64]) -> Fitted:
     """Places and depths of presses with the sensor held."""
     parameters = state.fitted.parameters
-    return fit(
-        parameters, presses, job.data(which, state.correction, 2 * MOST_PIXELS), job.dents, press_sd=sd,
-        frozen=np.ones(parameters.vector.size, bool), iterations=15, progress=lambda done, total: show("locate", done, total),
-    )  # fmt: skip
+    data, held = job.data(which, state.correction, 2 * MOST_PIXELS), Prior(parameters, sd, np.ones(parameters.vector.size, bool))
+    return fit(parameters, presses, data, job.dents, held, 15, lambda done, total: job.show("locate", done, total))
 
 
 def _full_scene(job: _Job, parameters: Parameters, rest: Path) -> Scene:
@@ -448,25 +446,25 @@ def _with_rest(scene: Scene, rest: Path) -> Scene:
 
 
 def _draw(
-    job: _Job, scene: Scene, parameters: Parameters, presses: Array, which: NDArray[np.int64], spp: int, show: Progress, name: str
+    job: _Job, scene: Scene, parameters: Parameters, presses: Array, which: NDArray[np.int64], spp: int, name: str
 ) -> tuple[Array, Array]:  # fmt: skip
     """The picture at rest, and those of presses, whose numbers are `which`."""
     scene = scene.replace(render=replace(scene.render, mode="path", spp=spp))
     rest, images = drawing.draw(
         scene, job.dents.at(parameters.globals[3], parameters.globals[9]), job.photos.balls_mm[which], list(presses), device=job.device,
-        progress=lambda done, total: show(name, done, total),
+        progress=lambda done, total: job.show(name, done, total),
     )  # fmt: skip
     return rest.astype(float), images.astype(float)
 
 
-def _correction(job: _Job, state: _State, presses: Array, which: NDArray[np.int64], show: Progress, name: str) -> tuple[Array, Array]:
+def _correction(job: _Job, state: _State, presses: Array, which: NDArray[np.int64], name: str) -> tuple[Array, Array]:
     """The renderer's reduced pictures of presses, and what it adds to the model's levels; 0 for photographs that are not in `which`."""
     from scipy.ndimage import gaussian_filter
 
     height, width = job.reduced.shape[1:3]
     fitted = replace(state.fitted, presses=presses[which])
     scene = _with_rest(to_scene(fitted.parameters, job.base, (width, height)), job.small_path)
-    _, images = _draw(job, scene, fitted.parameters, fitted.presses, which, CORRECTION_SPP, show, name)
+    _, images = _draw(job, scene, fitted.parameters, fitted.presses, which, CORRECTION_SPP, name)
     middles, means = beginning.model_pictures(
         fitted, job.small, job.dents, job.photos.balls_mm[which], job.contacts[which], job.reach(which), images
     )
@@ -489,11 +487,8 @@ def _crop(size: tuple[int, int], place: Array) -> tuple[slice, slice]:
     return slice(row, row + side), slice(column, column + side)
 
 
-def _report(
-    job: _Job, scene: Scene, fitted: Fitted, believed: Parameters, places: Array, press_sd: Array, shown_rest: Array, shown: Array,
-    warnings: list[str],
-) -> dict[str, Any]:  # fmt: skip
-    photos = job.photos
+def _report(job: _Job, state: _State, places: Array, press_sd: Array, shown_rest: Array, shown: Array) -> dict[str, Any]:
+    photos, fitted, believed = job.photos, state.fitted, state.believed
     spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0))[: fitted.parameters.vector.size]
     prior, low, high = believed.prior()
     frozen = job.frozen(fitted.parameters)
@@ -516,7 +511,7 @@ def _report(
         if not frozen[index] and not determined and "flux" not in name:
             loose.append(shown_name)
     if loose:
-        warnings.append(f"the photographs do not determine {', '.join(loose)}: kept near the start, or at a bound")
+        job.warnings.append(f"the photographs do not determine {', '.join(loose)}: kept near the start, or at a bound")
     pixels = (places[:, :2] / (1 + photos.balls_mm * fitted.parameters.globals[2])[:, None]) / fitted.parameters.globals[0] * job.factor
     pixels += np.array(photos.size) / 2
     rows, scores = [], {}
@@ -543,7 +538,7 @@ def _report(
     ratios = {split: means[split]["whole"]["mse"] / means[f"no_contact_as_{split}"]["whole"]["mse"] for split in splits}
     judge = splits[-1]
     if ratios[judge] > 1:
-        warnings.append(
+        job.warnings.append(
             f"the fitted sensor explains the {judge} presses worse than the no-contact picture does (MSE "
             f"{means[judge]['whole']['mse']:.1f}, not {means[f'no_contact_as_{judge}']['whole']['mse']:.1f}): do not use it; "
             f"{_advice(photos)}"
@@ -552,7 +547,7 @@ def _report(
     for bounds, what in ((deepest, "deepest that is solved"), (np.full(len(deepest), SHALLOWEST), "least")):
         at = np.flatnonzero(np.isclose(places[:, 2], bounds, rtol=1e-3))
         if len(at):
-            warnings.append(
+            job.warnings.append(
                 f"depth at its bound of {bounds[at[0]]:.2g} mm, the {what}: {', '.join(photos.files[index] for index in at[:6])}; "
                 f"{_advice(photos)}, or leave them out"
             )
@@ -574,8 +569,8 @@ def _report(
             "test_presses": "place and depth found from their own photograph with the sensor held" if photos.test.any() else None,
             "score_spp": SCORE_SPP,
         },
-        "versions": {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "mitsuba")},
-        "warnings": warnings,
+        "versions": stages.versions(("numpy", "scipy", "mitsuba")),
+        "warnings": job.warnings,
     }
 
 
@@ -604,7 +599,7 @@ def _mean_scores(pairs: list[tuple[dict[str, float], dict[str, float]]]) -> dict
 
 
 def _write(
-    folder: outputs.ResultFolder, out: Path, scene: Scene, report: dict[str, Any], job: _Job, sensor: str | None, rows: NDArray[np.int64],
+    folder: outputs.ResultFolder, out: Path, scene: Scene, report: dict[str, Any], job: _Job, rows: NDArray[np.int64],
     after: tuple[Array, Array], before: tuple[Array, Array],
 ) -> None:  # fmt: skip
     photos = job.photos
@@ -622,6 +617,7 @@ def _write(
     folder.write("residuals.png", lambda path: pictures.draw_residuals(path, seen, fitted, captions))
     folder.write(rest_name(out), lambda path: save_levels(job.rest, path))
     folder.write("report.json", lambda path: outputs.write_report(path, report))
+    sensor = report["sensor"]
     name = out.stem if sensor is None or is_preset(sensor) else sensor
     written = scene.replace(camera=replace(scene.camera, rest=rest_name(out)))
     folder.write(out.name, lambda path: write_preset(path, written, fitted_head(report, name)))

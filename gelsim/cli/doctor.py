@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import platform
 import subprocess
@@ -10,10 +9,11 @@ import sys
 from typing import Any
 
 from gelsim.errors import GelsimError
+from gelsim.pipeline.stages import versions
 from gelsim.scene.layers import preset_names
 
 PACKAGES = (
-    "gelsim", "numpy", "scipy", "warp-lang", "mitsuba", "drjit", "pytetwild", "pyvista", "mkl", "trimesh", "manifold3d", "OpenEXR",
+    "gelsim", "numpy", "scipy", "warp-lang", "mitsuba", "drjit", "pytetwild", "mkl", "trimesh", "manifold3d", "OpenEXR",
     "colour-science", "matplotlib", "imageio-ffmpeg", "torch",
 )  # fmt: skip
 OPTIONAL = {"torch": "only learning needs it: pip install -e .[learn]"}
@@ -24,7 +24,7 @@ LIST_WARP_DEVICES = "import warp; warp.init(); print(', '.join(f'{device.alias}:
 def examine() -> dict[str, Any]:
     """Everything that decides what runs here, as plain values. Takes seconds: variants are tried in child processes."""
     advice: list[str] = []
-    packages = {name: _version(name) for name in PACKAGES}
+    packages = versions(PACKAGES)
     for name, version in packages.items():
         if version is None and name not in ("gelsim", "mkl"):
             advice.append(f"{name} is not installed ({OPTIONAL.get(name, 'needed: pip install -c constraints.txt -e .')})")
@@ -66,13 +66,6 @@ def _words(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-
-
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def _rendering(advice: list[str]) -> dict[str, Any]:

@@ -426,12 +426,12 @@ def _bench(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim.bench import runner
     from gelsim.bench.section import Options
 
-    asked = Options(quick=options.quick, **({"data": Path(options.data)} if options.data else {}))
+    sections = tuple(options.only) if options.only else None
+    asked = Options(sections, options.quick, **({"data": Path(options.data)} if options.data else {}))
     with progress_bars() as progress:
         result = runner.run(
             Path(options.out),
-            sections=options.only or SECTIONS,
-            options=asked,
+            asked,
             resume=options.resume,
             force=options.force,
             limit=options.limit,
@@ -611,9 +611,8 @@ def _study(options: argparse.Namespace) -> dict[str, Any]:
     given = [options.name, *(["--quick"] if options.quick else []), *([f"--workers {options.workers}"] if options.workers > 1 else [])]
     with progress_bars() as progress:
         result = runner.run(
-            study,
+            study.small() if options.quick else study,
             Path(options.out or f"out/study-{study.name}"),
-            quick=options.quick,
             resume=options.resume,
             force=options.force,
             workers=options.workers,

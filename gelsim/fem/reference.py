@@ -19,7 +19,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.fem.elements import tri6_gradient, tri6_shape
+from gelsim.fem.contact import ContactLaw
+from gelsim.fem.elements import TetQuadrature, tri6_gradient, tri6_shape
 
 Array = NDArray[np.float64]
 _STEP = 1e-30
@@ -127,7 +128,7 @@ def element_tangent(unknowns: Array, gradients: Array, weights: Array, shape: Ar
     return derivative(lambda v: element_residual(v, gradients, weights, shape, law, kappa, history), unknowns)
 
 
-def assemble(u: Array, p: Array, tets: NDArray[np.int32], gradients: Array, weights: Array, shape: Array, law: Array, kappa: Array,
+def assemble(u: Array, p: Array, tets: NDArray[np.int32], quadrature: TetQuadrature, law: Array, kappa: Array,
              pressures: NDArray[np.int32] | None = None, history: Array | None = None) -> tuple[float, Array, Array]:  # fmt: skip
     """Energy (without H), residual (N, 4) and dense tangent (N, 4, N, 4) of a mesh; component 3 of a node is its pressure.
 
@@ -139,7 +140,7 @@ def assemble(u: Array, p: Array, tets: NDArray[np.int32], gradients: Array, weig
         carrier = tet[:4] if pressures is None else pressures[t]
         place = np.concatenate([(4 * tet[:, None] + np.arange(3)).ravel(), 4 * carrier + 3])
         unknowns = np.concatenate([u[tet].ravel(), p[carrier]])
-        data = (gradients[t], weights[t], shape, law[t], float(kappa[t]))
+        data = (quadrature.gradients[t], quadrature.weights[t], quadrature.pressure_shape, law[t], float(kappa[t]))
         stress = None if history is None else history[t]
         energy += element_energy(u[tet], p[carrier], *data).real
         residual[place] += element_residual(unknowns, *data, stress)
@@ -206,17 +207,20 @@ def meeting(nodes: Array, at: Array, xi: Array) -> tuple[Array, Array, Array]:
     return gap, normal, xi
 
 
-def contact_force(nodes: Array, at: Array, xi: Array, multiplier: float, k: float, eps: float) -> Array:
+def contact_force(nodes: Array, at: Array, xi: Array, multiplier: float, law: ContactLaw) -> Array:
     """Forces p n on the gel at a point and -p n on the object where its line meets it, as ∂φ/∂u would have them (12, 3) [kPa].
 
-    Times the area that the point stands for. Arguments as of `meeting`, multiplier λ [kPa], k [kPa/mm], ε [mm].
+    Times the area that the point stands for. Arguments as of `meeting`, and multiplier λ [kPa].
+
+    Args:
+        law: Of the point: its stiffnesses are k and k_t [kPa/mm], those of the contact divided by the size of the gel's face.
     """
     gap, normal, there = meeting(nodes, at, xi)
-    return np.outer(np.concatenate([-_shape(at), _shape(there)]), penalty_pressure(multiplier / k - gap, k, eps) * normal)
+    pressure = penalty_pressure(multiplier / law.stiffness - gap, law.stiffness, law.smoothing)
+    return np.outer(np.concatenate([-_shape(at), _shape(there)]), pressure * normal)
 
 
-def friction_force(nodes: Array, at: Array, xi: Array, multiplier: float, k: float, eps: float,
-                   anchor: Array, shift: Array, stiffness: float, friction: float) -> Array:  # fmt: skip
+def friction_force(nodes: Array, at: Array, xi: Array, multiplier: float, law: ContactLaw, anchor: Array, shift: Array) -> Array:
     """Forces of friction, likewise (18, 3) [kPa].
 
     Args:
@@ -225,20 +229,21 @@ def friction_force(nodes: Array, at: Array, xi: Array, multiplier: float, k: flo
     """
     gap, normal, _ = meeting(nodes, at, xi)
     slip = face_point(nodes[:6], at) - face_point(nodes[12:], anchor)
-    traction = friction_traction(slip, normal, shift, stiffness, friction, penalty_pressure(multiplier / k - gap, k, eps))
+    pressure = penalty_pressure(multiplier / law.stiffness - gap, law.stiffness, law.smoothing)
+    traction = friction_traction(slip, normal, shift, law, pressure)
     return np.outer(np.concatenate([_shape(at), np.zeros(6), -_shape(anchor)]), traction)
 
 
-def friction_traction(slip: Array, normal: Array, shift: Array, stiffness: float, friction: float, pressure: Array) -> Array:
+def friction_traction(slip: Array, normal: Array, shift: Array, law: ContactLaw, pressure: Array) -> Array:
     """Traction [kPa] (3,) that the gel exerts on the object: λ_t + k_t e in the tangent plane, cut back to μp (μ < 0: never).
 
     Args:
         slip: e, what the point has moved against the place on the object that it touched when the load step began (3,) [mm].
         shift: λ_t (3,).
     """
-    trial = shift + stiffness * slip
+    trial = shift + law.stick_stiffness * slip
     trial = trial - normal * (normal @ trial)
     size = np.sqrt((trial * trial).sum())
-    if friction >= 0 and size.real > friction * pressure.real:
-        trial = trial * (friction * pressure / size)
+    if law.friction >= 0 and size.real > law.friction * pressure.real:
+        trial = trial * (law.friction * pressure / size)
     return trial

@@ -33,7 +33,7 @@ SEEN = ("camera", "lights", "coating", "markers")
 """What the new sensor brings."""
 
 
-def relight(
+def relight(  # noqa: PLR0913 - a keyword for each flag of its command
     source: Path,
     sensor: str | None,
     out: Path,

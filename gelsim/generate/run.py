@@ -7,11 +7,10 @@ the episodes the command says so by its exit code. meta/seconds.jsonl, alone, di
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,9 @@ from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, is_measured
 from gelsim.generate.plan import SPLITS, SPLITS_LEARNT, Catalogue, load_plan
+from gelsim.pipeline.stages import versions
 from gelsim.scene.definition import Scene
-from gelsim.work.workers import Crew, Handful, LocalCrew, WorkError, work_through
+from gelsim.work.workers import Crew, Handful, LocalCrew, WorkError, check_count, work_through
 
 Progress = Callable[[str, int, int], None]
 
@@ -51,7 +51,7 @@ MANIFEST_SECONDS = 20.0
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
 
-def generate(
+def generate(  # noqa: PLR0913 - a keyword for each flag of its command
     plan: str,
     episodes: int,
     out: Path,
@@ -203,8 +203,7 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
 
 def crew_of(workers: int | None, device: str, ray: str | None, solves: bool = True) -> Crew:
     """Who works: processes here, more of them where GPUs solve presses, or a Ray cluster. Raises SceneError."""
-    if workers is not None and not 1 <= workers <= 1024:
-        raise SceneError(f"--workers {workers}: allowed is 1 … 1024")
+    check_count(1 if workers is None else workers)
     if device not in DEVICES:
         raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
     if ray is not None:
@@ -363,7 +362,7 @@ def _info(catalogue: Catalogue, light: bool) -> dict[str, Any]:
         "domain": "sim", "fps": catalogue.sensor_scene(0).camera.fps, "resolution": [width, height], "noise": "none",
         "plan": catalogue.plan.name,
         "plan_sha256": catalogue.plan.digest, "seed": catalogue.seed,
-        "versions": dict(_versions()), "features": features(width, height),
+        "versions": versions(VERSIONS_OF), "features": features(width, height),
     }  # fmt: skip
 
 
@@ -378,11 +377,3 @@ def features(width: int, height: int) -> dict[str, dict[str, Any]]:
         "marker_pixels": {"dtype": "float64", "shape": ["N", "K", 2], "unit": "px"},
         "noise": {"dtype": "float64", "shape": [3, 3], "unit": "levels of 255; electrons; share of white"},
     }
-
-
-def _versions() -> Iterator[tuple[str, str | None]]:
-    for name in VERSIONS_OF:
-        try:
-            yield name, importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            yield name, None

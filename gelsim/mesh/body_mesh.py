@@ -23,7 +23,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -77,8 +77,26 @@ _OF_FACETS = 0.15
 """The same per smallest edge length (`MeshSizes.envelope`) of a surface whose vertices are not put back."""
 
 Progress = Callable[[str], None]
-Within = tuple[tuple[Inclusion, TriMesh], ...]
-"""What lies inside an object, with the facets that fTetWild is given for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """What is filled."""
+
+    label: str
+    """What people are told it is."""
+    surface: TriMesh
+    """The facets that fTetWild is given [m]."""
+    shape: Solid | None = None
+    """What boundary nodes are put on; None: they stay on the facets."""
+    within: tuple[tuple[Inclusion, TriMesh], ...] = ()
+    """What lies inside it, with the facets that fTetWild is given for it."""
+
+    def patches(self) -> Solid:
+        """The patches of the outer shape, then those of the interfaces: their bases and cuts are the outer ones."""
+        assert self.shape is not None
+        inner = [p for part, _ in self.within for p, role in zip(part.shape.patches, part.shape.roles, strict=True) if role == "contact"]
+        return Solid((*self.shape.patches, *inner), (*self.shape.roles, *("interface" for _ in inner)), self.shape.hull)
 
 
 # ---------------------------------------------------------------------------------------------------------------- the object
@@ -131,9 +149,10 @@ def mesh_object(
             TriMesh(*solid_surface(each, np.inf, lambda points: _CHORD * field(points))[:2]) for each in (shape, *(i.shape for i in within))
         )
     label = f"the object ({body.mesh if of_file(body) else body.shape})"
+    domain = Domain(label, surface, shape, tuple(zip(within, inner, strict=True)))
     smallest = min(field.smallest, np.inf if len(seams) else sizes.rim)
     envelope = (_OF_FACETS if shape is None else sizes.envelope) * smallest
-    mesh = _cached_fill(surface, shape, field, stretch, envelope, label, progress, tuple(zip(within, inner, strict=True)), drawn_before)
+    mesh = _cached_fill(domain, field, stretch, envelope, progress, drawn_before)
     _check_held(mesh, label)
     for axis, sign in zip("xy", side, strict=True):
         mesh = flip(mesh, axis) if sign < 0 else mesh
@@ -193,69 +212,63 @@ def _volumes(mesh: TetMesh, parts: tuple[str, ...]) -> dict[str, float]:
 
 
 # ---------------------------------------------------------------------------------------------------------------- filling
-def _fill(
-    surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, label: str, within: Within = ()
-) -> TetMesh:
-    """Ten-node tets inside a closed surface, boundary nodes on the exact shape (None: on the facets as they come)."""
+def _fill(domain: Domain, field: SizeField, stretch: float, envelope: float) -> TetMesh:
+    """Ten-node tets inside a closed surface, boundary nodes on the exact shape."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
-    inside = TriMesh(surface.vertices * squeeze, surface.faces)
-    for _, inner in within:
+    inside = TriMesh(domain.surface.vertices * squeeze, domain.surface.faces)
+    for _, inner in domain.within:
         inside = TriMesh(
             np.vstack([inside.vertices, inner.vertices * squeeze]), np.vstack([inside.faces, inner.faces + len(inside.vertices)])
         )
     fault = ""
     for share, energy, passes in _ATTEMPTS:
-        vertices, tets = _tetwild(inside, narrow, share * envelope, energy, passes, label)
+        vertices, tets = _tetwild(inside, narrow, share * envelope, energy, passes, domain.label)
         vertices = vertices / squeeze
         inverted = tet_volumes(vertices, tets) < 0
         tets[inverted] = tets[inverted][:, [1, 0, 2, 3]]
-        regions = _regions(vertices, tets, within)
+        regions = _regions(vertices, tets, domain)
         near = 2 * stretch * (share * envelope + _CHORD * field(vertices))
-        vertices, faces, patch = _snapped(vertices, tets, regions, shape, within, near)
+        vertices, faces, patch = _snapped(domain, vertices, tets, regions, near)
         quality = tet_quality(vertices * squeeze, tets)
         if quality.min() <= _WORST_QUALITY:
             fault = f"one of quality {quality.min():.3g}; allowed: above {_WORST_QUALITY:g}"
             continue
-        mesh = _ten_node(vertices, tets, regions, shape, within, faces, patch, label)
+        mesh = _ten_node(domain, vertices, tets, regions, faces, patch)
         jacobian = float(jacobian_determinants(mesh.rest_positions, mesh.tets).min())
         if jacobian > 0.0:
             return mesh
         fault = f"a folded one (smallest Jacobian {jacobian / MM**3:.3g} mm³)"
     raise MeshingError(
-        f"filling {label} with tetrahedra left {fault}; try another fidelity, or a surface without sliver faces and gaps below 0.05 mm"
+        f"filling {domain.label} with tetrahedra left {fault}; try another fidelity, or a surface without sliver faces and gaps below "
+        "0.05 mm"
     )
 
 
-def _ten_node(vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32], shape: Solid | None, within: Within,
-              faces: NDArray[np.int32], patch: NDArray[np.int64], label: str) -> TetMesh:  # fmt: skip
+def _ten_node(domain: Domain, vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32], faces: NDArray[np.int32],
+              patch: NDArray[np.int64]) -> TetMesh:  # fmt: skip
     """The filling with mid-side nodes on the exact shape, and its groups; `faces` and `patch` as `_snapped` gives them."""
     nodes, tets10 = quadratic_tets(vertices, tets)
     boundary = outer_faces(tets10)
+    shape = domain.shape
     if shape is None:
-        return TetMesh(nodes, tets10, _mesh_groups(nodes, boundary, label))
-    nodes = _curved(nodes, tets10, faces, patch, _together(shape, within), len(vertices))
+        return TetMesh(nodes, tets10, _mesh_groups(nodes, boundary, domain.label))
+    nodes = _curved(nodes, tets10, faces, patch, domain.patches(), len(vertices))
     roles = np.array(shape.roles)[patch[: len(boundary)]]
     groups = {role: boundary[roles == role] for role in sorted(set(shape.roles) - set(AXES))}
     return TetMesh(nodes, tets10, groups, frozenset(shape.roles) & frozenset(AXES), regions)
 
 
-def _regions(vertices: Array, tets: NDArray[np.int32], within: Within) -> NDArray[np.int32]:
+def _regions(vertices: Array, tets: NDArray[np.int32], domain: Domain) -> NDArray[np.int32]:
     """The part that each tet belongs to, (T,): of an object with a skin what is not flesh is the skin, number 1."""
     regions, middle = np.zeros(len(tets), np.int32), vertices[tets].mean(axis=1)
-    for part, surface in within:
+    for part, surface in domain.within:
         inside = winding_numbers(middle, surface) > 0.5
         if part.region:
             regions[inside] = part.region
         else:
             regions[~inside] = 1
     return regions
-
-
-def _together(shape: Solid, within: Within) -> Solid:
-    """The patches of the outer shape, then those of the interfaces: their bases and cuts are the outer ones."""
-    inner = [p for part, _ in within for p, role in zip(part.shape.patches, part.shape.roles, strict=True) if role == "contact"]
-    return Solid((*shape.patches, *inner), (*shape.roles, *("interface" for _ in inner)), shape.hull)
 
 
 def _tetwild(
@@ -293,7 +306,7 @@ _WITHOUT_PYVISTA = """
 import sys, types
 sys.modules["pyvista"] = types.ModuleType("pyvista")
 """
-"""Run before `_CHILD`: pytetwild imports it to register itself there, a third of a second that no mesh depends on."""
+"""Run before `_CHILD`: pytetwild imports it only to register itself there, so that it and VTK, 580 MB, need not be installed."""
 _CHILD = """
 import numpy, pytetwild
 with numpy.load("in.npz", allow_pickle=False) as stored:
@@ -304,22 +317,23 @@ numpy.savez("out.npz", vertices=vertices, tets=tets)
 """
 
 
-def _snapped(vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32], shape: Solid | None, within: Within,
-             near: Array) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:  # fmt: skip
+def _snapped(
+    domain: Domain, vertices: Array, tets: NDArray[np.int32], regions: NDArray[np.int32], near: Array
+) -> tuple[Array, NDArray[np.int32], NDArray[np.int64]]:
     """Vertices of boundary and interfaces put on the patches of the faces around them, at most `near` away; these six-node faces, boundary
-    first, and the patch of each in `_together`."""
-    tets10 = quadratic_tets(vertices, tets)[1]
+    first, and the patch of each in `Domain.patches`."""
+    tets10, shape = quadratic_tets(vertices, tets)[1], domain.shape
     if shape is None:
         return vertices, outer_faces(tets10), np.zeros(0, np.int64)
     faces = [outer_faces(tets10)]
     patch = [classify(shape.patches, vertices, faces[0][:, :3], near)]
     before = len(shape.patches)
-    for part, _ in within:
+    for part, _ in domain.within:
         mine = tuple(p for p, role in zip(part.shape.patches, part.shape.roles, strict=True) if role == "contact")
         faces.append(interface_faces(tets10, regions == part.region if part.region else regions != 1))
         patch.append(before + classify(mine, vertices, faces[-1][:, :3], near))
         before += len(mine)
-    whole, all_faces, all_patches = _together(shape, within), np.vstack(faces), np.concatenate(patch)
+    whole, all_faces, all_patches = domain.patches(), np.vstack(faces), np.concatenate(patch)
     member = membership(all_faces[:, :3], all_patches, len(vertices), len(whole.patches))
     on = member.any(axis=1)
     moved = vertices.copy()
@@ -352,19 +366,20 @@ def _mesh_groups(nodes: Array, boundary: NDArray[np.int32], label: str) -> dict[
 
 
 # ---------------------------------------------------------------------------------------------------------------- cache
-def _cached_fill(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, label: str,
-                 progress: Progress | None, within: Within = (), drawn_before: int = 0) -> TetMesh:  # fmt: skip
+def _cached_fill(
+    domain: Domain, field: SizeField, stretch: float, envelope: float, progress: Progress | None, drawn_before: int
+) -> TetMesh:
     """`_fill` from the cache, which keeps each draw by its number."""
-    key = _key(surface, shape, field, stretch, envelope, within) + (f"-{drawn_before}" if drawn_before else "")
+    key = _key(domain, field, stretch, envelope) + (f"-{drawn_before}" if drawn_before else "")
     path = cache_folder("meshes") / f"{key}.npz"
     mesh = _read(path)
     if mesh is None:
-        (progress or _say)(f"meshing {label}: once for this shape and size, then it comes from the cache")
-        mesh = _fill(surface, shape, field, stretch, envelope, label, within)
+        (progress or _say)(f"meshing {domain.label}: once for this shape and size, then it comes from the cache")
+        mesh = _fill(domain, field, stretch, envelope)
         try:
             _write(path, mesh)
         except OSError as error:  # a full or read-only cache costs time, not the result
-            (progress or _say)(f"the mesh of {label} is not kept: {path.parent} cannot be written ({error.strerror})")
+            (progress or _say)(f"the mesh of {domain.label} is not kept: {path.parent} cannot be written ({error.strerror})")
     return mesh
 
 
@@ -373,15 +388,15 @@ def _say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def _key(surface: TriMesh, shape: Solid | None, field: SizeField, stretch: float, envelope: float, within: Within) -> str:
+def _key(domain: Domain, field: SizeField, stretch: float, envelope: float) -> str:
     """Hash of everything a mesh depends on. Coordinates are rounded to a picometre, so that the last bits of libm do not matter."""
     digest = hashlib.sha256()
-    asked = [field.settings(), stretch, envelope, shape and shape.roles]
+    asked = [field.settings(), stretch, envelope, domain.shape and domain.shape.roles]
     settings = [_SCHEMA, version("pytetwild"), _MOST_CURVED, _ATTEMPTS, _CHILD, LONGER, *asked]
     digest.update(json.dumps(settings, sort_keys=True, default=float).encode())
-    digest.update(np.round(surface.vertices * 1e12).astype(np.int64).tobytes())
-    digest.update(surface.faces.tobytes())
-    for part, inner in within:
+    digest.update(np.round(domain.surface.vertices * 1e12).astype(np.int64).tobytes())
+    digest.update(domain.surface.faces.tobytes())
+    for part, inner in domain.within:
         digest.update(f"{part.region} {part.shape.roles}".encode())
         digest.update(np.round(inner.vertices * 1e12).astype(np.int64).tobytes())
         digest.update(inner.faces.tobytes())

@@ -25,10 +25,8 @@ from gelsim.optics.arrays import Arrays, NumPyArrays, Values, grid_corners, mixe
 from gelsim.optics.camera import window_transmission
 from gelsim.optics.rest import rest_tables
 from gelsim.optics.shading import shading_gain
+from gelsim.optics.srgb import SRGB_FOOT
 from gelsim.scene.definition import Scene
-
-FOOT = 0.0031308
-"""Where sRGB's straight foot ends."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ def develop_pixels(
         levels = [a + ar.sqrt(ar.maximum(a, 0.0) * number[c] + number[3 + c]) * normal[c] for c, a in enumerate(levels)]
     levels = [ar.minimum(ar.maximum(a, 0.0), 1.0) for a in levels]
     if pipeline.srgb:
-        levels = [ar.select(a <= FOOT, 12.92 * a, 1.055 * ar.power(ar.maximum(a, FOOT), 1 / 2.4) - 0.055) for a in levels]
+        levels = [ar.select(a <= SRGB_FOOT, 12.92 * a, 1.055 * ar.power(ar.maximum(a, SRGB_FOOT), 1 / 2.4) - 0.055) for a in levels]
     if pipeline.bent:
         levels = [ar.power(ar.maximum(a, 1e-6), number[9]) for a in levels]
     levels = [255.0 * a for a in levels]
@@ -169,12 +167,6 @@ def packed_bytes(ar: Arrays, words: Values) -> Values:
 def as_picture(packed: NDArray[np.uint32], shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """What `packed_bytes` packed, on the host: shape (*shape, 3)."""
     return packed.astype("<u4", copy=False).view(np.uint8)[: 3 * int(np.prod(shape))].reshape(*shape, 3)
-
-
-def srgb_tone(linear: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Linear 0…1 to sRGB 0…1, elementwise; values beyond are clipped, as a camera does."""
-    linear = np.clip(linear, 0.0, 1.0)
-    return np.where(linear <= FOOT, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 class Developer:

@@ -26,6 +26,7 @@ from gelsim.errors import SceneError
 from gelsim.optics.camera import gel_ray, make_lens
 from gelsim.optics.coating import layout_coverage
 from gelsim.optics.shading import shading_basis
+from gelsim.optics.srgb import srgb_linear, srgb_tone
 from gelsim.scene.definition import Scene
 from gelsim.scene.limits import REST_TERMS
 from gelsim.shape.shapes import gel_height
@@ -150,14 +151,12 @@ def even_part(levels: NDArray[np.float64]) -> NDArray[np.float64]:
 def untoned(scene: Scene, levels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Values before the tone curve and its exponent, of levels 0 … 255."""
     value = np.clip(levels / 255, 0, 1) ** (1 / scene.camera.gamma)
-    return value if scene.camera.tone == "linear" else np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return value if scene.camera.tone == "linear" else srgb_linear(value)
 
 
 def toned(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Levels 0 … 255 of values before the tone curve, the inverse of `untoned`."""
-    value = np.clip(values, 0, 1)
-    if scene.camera.tone == "srgb":
-        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-12) ** (1 / 2.4) - 0.055)
+    value = srgb_tone(values) if scene.camera.tone == "srgb" else np.clip(values, 0, 1)
     return 255 * value**scene.camera.gamma
 
 

@@ -393,7 +393,7 @@ def simulate(scene: Scene, *, device: str = "auto", progress: Progress | None = 
     return deformation, render(scene, deformation, device=device, progress=progress)
 
 
-def run(
+def run(  # noqa: PLR0913 - a keyword for each flag of its command
     scene: Scene,
     out: Path,
     *,
@@ -634,8 +634,8 @@ def _slow_motion(deformation: Deformation) -> float:
     return round(shown / max(float(deformation.time[-1]), 1e-9), 1)
 
 
-def versions() -> dict[str, str | None]:
-    """Installed versions of VERSIONS_OF; None for what is not here."""
+def versions(names: Sequence[str] = VERSIONS_OF) -> dict[str, str | None]:
+    """Installed versions of packages; None for what is not here."""
 
     def version(name: str) -> str | None:
         try:
@@ -643,4 +643,4 @@ def versions() -> dict[str, str | None]:
         except importlib.metadata.PackageNotFoundError:
             return None
 
-    return {name: version(name) for name in VERSIONS_OF}
+    return {name: version(name) for name in names}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from gelsim.errors import SceneError, within
 from gelsim.scene import materials
@@ -139,25 +139,27 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 
 
-def check_limits(section: object, name: str = "") -> None:
-    """Raises SceneError where a field of a section, or of one inside it, is beyond CHOICES or LIMITS; `name` is the section's own."""
+def check_limits(
+    section: object, name: str = "", choices: Mapping[str, Collection[str]] = CHOICES, limits: Mapping[str, tuple[float, float]] = LIMITS
+) -> None:
+    """Raises SceneError where a field of a section, or of one inside it, is beyond choices or limits; `name` is the section's own."""
     for item in dataclasses.fields(section):  # type: ignore[arg-type]
         full = f"{name}.{item.name}" if name else item.name
         value = getattr(section, item.name)
         unit = unit_of(item.name)
         if dataclasses.is_dataclass(value):
-            check_limits(value, full)
+            check_limits(value, full, choices, limits)
         elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
             for index, part in enumerate(value):
                 with within(which(value, index, whats(full))):
-                    check_limits(part, full)
-        if full in CHOICES and value not in CHOICES[full]:
-            hint = nearest(str(value), CHOICES[full])
+                    check_limits(part, full, choices, limits)
+        if full in choices and value not in choices[full]:
+            hint = nearest(str(value), choices[full])
             if full == "object.shape" and str(value).lower().endswith(MESH_SUFFIXES):
                 hint = f"; a file is object.mesh = {value!r} (--mesh {value})"
-            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(CHOICES[full])}{hint}")
-        if full in LIMITS:
-            low, high = LIMITS[full]
+            raise SceneError(f"{full} = {value!r}: allowed are {', '.join(choices[full])}{hint}")
+        if full in limits:
+            low, high = limits[full]
             if any(not low <= number <= high for number in _numbers(value)):
                 shown = " ".join(f"{number:g}" for number in _numbers(value))
                 turns = "; object.press_side and object.rotation_deg turn another side to the gel" if full == "press.tilt_deg" else ""

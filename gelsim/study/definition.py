@@ -14,7 +14,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,14 @@ class Study:
     """How it is measured, and what is left out."""
     quick: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the study that --quick replaces."""
+
+    def small(self) -> Study:
+        """Its form of minutes. Raises SceneError where it has none."""
+        if not self.quick:
+            raise SceneError(
+                f"--quick: study {self.name} has no small form; in a study of your own, fewer values and scene.fidelity = 'fast' make one"
+            )
+        return replace(self, **self.quick)
 
     def points(self) -> list[Point]:
         """The points of all cases, in the same order every time.

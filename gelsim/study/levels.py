@@ -13,8 +13,8 @@ from gelsim.scene.definition import Scene
 
 def unrounded(scene: Scene, radiance: NDArray[np.float32]) -> NDArray[np.float64]:
     """Levels (H, W, 3) of a linear picture (H, W, 3)."""
-    from gelsim.optics.isp import srgb_tone
     from gelsim.optics.shading import shading_gain
+    from gelsim.optics.srgb import srgb_tone
 
     camera = scene.camera
     linear = radiance * shading_gain(scene) * (camera.exposure * np.array(camera.white_balance))

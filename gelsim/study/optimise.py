@@ -34,6 +34,7 @@ from gelsim.study.definition import Point, Study, case_name, check_axis, quantil
 from gelsim.study.metrics import METRICS
 from gelsim.study.runner import DONE, RESULTS, case_of, measured
 from gelsim.work.ledger import Ledger, Row
+from gelsim.work.workers import check_count
 
 SAMPLES = 8
 STARTS = 3
@@ -95,9 +96,11 @@ def parse_bounds(text: str) -> tuple[str, dict[str, list[float]]]:
     return name, check_axis("--within", name, axis)
 
 
-def optimise(goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out: Path, *, evaluations: int = 60, resume: bool = False,
-             force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
-             progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
+def optimise(  # noqa: PLR0913 - a keyword for each flag of its command
+    goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out: Path, *, evaluations: int = 60, resume: bool = False,
+    force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
+    progress: Callable[[str, int, int], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Searches, and writes results.jsonl, study.csv, study.png, index.html, and sensor.toml and scene.toml of the best.
 
     Args:
@@ -112,6 +115,7 @@ def optimise(goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out:
     Raises:
         SceneError: Too few evaluations, `out` holds results already and neither `resume` nor `force` was given, or no scene gave a number.
     """
+    check_count(workers)
     samples = SAMPLES * len(bounds)
     least = samples + NEIGHBOURS
     if evaluations <= least:

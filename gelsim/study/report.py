@@ -103,8 +103,7 @@ def cost(rows: Sequence[Row], facts: Mapping[str, Any]) -> str:
     cores = os.cpu_count() or 1
     busy = f", load {min(loads):g} to {max(loads):g}" if loads else ""
     said = " (busy: on an idle machine it is less)" if loads and max(loads) > 1.5 * cores else ""
-    seconds = f"{facts['case_seconds']:.0f} s of wall time summed over them"
-    return f"{facts['cases']} cases, {seconds}, {cores} cores ({platform.machine()}){busy}{said}"
+    return f"{facts['cases']} cases, {facts['case_seconds']:.0f} s in all, {cores} cores ({platform.machine()}){busy}{said}"
 
 
 def _short(study: Study, rows: Sequence[Row], facts: Mapping[str, Any]) -> str:

@@ -6,7 +6,6 @@ do not depend on how many workers there are, nor on the order in which they fini
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 import time
@@ -21,7 +20,7 @@ from gelsim.study import report
 from gelsim.study.definition import Point, Study, case_name
 from gelsim.study.metrics import METRICS
 from gelsim.work.ledger import Ledger, Row
-from gelsim.work.workers import Handful, LocalCrew, work_through
+from gelsim.work.workers import Handful, LocalCrew, check_count, load_average, work_through
 
 RESULTS = "results.jsonl"
 DONE = SolveStatus.CONVERGED.name
@@ -38,12 +37,11 @@ class Case:
     device: str = "auto"
 
 
-def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, force: bool = False, workers: int = 1, device: str = "auto",
-        command: str = "", progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
+def run(study: Study, out: Path, *, resume: bool = False, force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
+        progress: Callable[[str, int, int], None] | None = None) -> dict[str, Any]:  # fmt: skip
     """Measures the cases and writes results.jsonl, study.csv, a plot for each metric and index.html into `out`.
 
     Args:
-        quick: The study's small form.
         workers: Processes; 1 computes in this one.
         command: What the page says it was made by.
     Returns:
@@ -52,14 +50,7 @@ def run(study: Study, out: Path, *, quick: bool = False, resume: bool = False, f
         SceneError: A case makes no scene (nothing was computed), or `out` holds a study and neither `resume` nor `force` was given, or was
             begun with another scene.
     """
-    if workers < 1:
-        raise SceneError(f"--workers {workers}: allowed is 1 or more")
-    if quick and not study.quick:
-        raise SceneError(
-            f"--quick: study {study.name} has no small form; in a study of your own, fewer values and scene.fidelity = 'fast' make one"
-        )
-    if quick:
-        study = dataclasses.replace(study, **study.quick)
+    check_count(workers)
     cases = [case_of(study, point, device) for point in study.points()]
     ledger = Ledger(out / RESULTS, resume=resume, force=force)
     todo = [case for case in cases if ledger.rows.get(case.key, {}).get("status") != DONE]
@@ -117,11 +108,7 @@ def measure(case: Case) -> Row:
         row |= {"status": type(error).__name__, "message": str(error)}
     except (ArithmeticError, ValueError, MemoryError, IndexError) as error:
         row |= {"status": type(error).__name__, "message": f"internal error: {error}"}
-    return row | {"seconds": round(time.perf_counter() - start, 2), "load": _load()}
-
-
-def _load() -> float | None:
-    return round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
+    return row | {"seconds": round(time.perf_counter() - start, 2), "load": load_average()}
 
 
 def measured(cases: Sequence[Case], workers: int) -> Iterator[Row]:
@@ -132,7 +119,8 @@ def measured(cases: Sequence[Case], workers: int) -> Iterator[Row]:
 
     def lost(handful: Handful, status: str, message: str) -> list[Row]:
         return [
-            {"key": cases[n].key, **cases[n].point, "status": status, "message": message, "seconds": 0.0, "load": _load()} for n in handful
+            {"key": cases[n].key, **cases[n].point, "status": status, "message": message, "seconds": 0.0, "load": load_average()}
+            for n in handful
         ]
 
     threads = max(1, (os.cpu_count() or 1) // workers)

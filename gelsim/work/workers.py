@@ -30,8 +30,9 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol, TypeVar
 
-from gelsim.errors import GelsimError
+from gelsim.errors import GelsimError, SceneError
 
+MOST_WORKERS = 1024
 SECONDS = 1800.0
 """Allowed for a handful."""
 STARTS, PATIENCE, PAUSE = 3, 30.0, 1.0
@@ -285,6 +286,17 @@ def _allowed(busy: Sequence[_Place], took: Sequence[float]) -> float:
     if len(busy) >= SECONDS / STILL and len(took) >= len(busy) and all(place.begun for place in busy):
         return max(QUIET, TIMES * sum(took) / len(took) / len(busy))
     return max(STILL, SECONDS / len(busy)) * (1 if took else 2)
+
+
+def check_count(workers: int) -> None:
+    """Raises SceneError where nobody, or too many, would work."""
+    if not 1 <= workers <= MOST_WORKERS:
+        raise SceneError(f"--workers {workers}: allowed is 1 … {MOST_WORKERS}")
+
+
+def load_average() -> float | None:
+    """Of this machine in the last minute; None where the system does not say."""
+    return round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
 
 
 def settings(threads: int) -> dict[str, str]:

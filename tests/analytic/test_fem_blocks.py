@@ -19,7 +19,7 @@ MODULUS = 50e3  # Pa
 
 def block(shake: float = 0.25, bend: float = 0.0, cells: int = 3, size_mm: float = 2.0) -> TetMesh:
     line = np.linspace(0, size_mm * MM, cells + 1)
-    return box_mesh(line, line, line, "bonded", "top", "side", shake=shake, bend=bend)
+    return box_mesh(line, line, line, ("bonded", "top", "side"), shake=shake, bend=bend)
 
 
 def deformation_gradients(solids: Solids) -> Array:

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from gelsim.fem import reference
 from gelsim.fem.assembly import Solids
-from gelsim.fem.elements import tet_quadrature_data
+from gelsim.fem.elements import TetQuadrature, tet_quadrature_data
 from gelsim.fem.pattern import split_pressures
 from gelsim.fem.problem import PressProblem, isochoric_constants
 from gelsim.geometry import TET_EDGES, TetMesh
@@ -27,7 +27,7 @@ MM = 1e-3
 def layered(soft: ElasticMaterial, stiff: ElasticMaterial, split: bool = True) -> tuple[Solids, TetMesh]:
     """A block of 2 mm with its sides on sliding planes, the stiff layer from z = 1.2 mm up, interface along faces of distorted tets."""
     line, heights = np.linspace(0, 2 * MM, 4), np.array([0.0, 0.7, 1.2, 1.7, 2.0]) * MM
-    mesh = box_mesh(line, line, heights, "bottom", "top", "side")
+    mesh = box_mesh(line, line, heights, ("bottom", "top", "side"))
     x = mesh.rest_positions
     x[:, :2] += 0.1 * (x[:, :2] * (2 * MM - x[:, :2]) / MM) * np.sin(3 * x[:, 2:] / MM)  # sheared within the block: no symmetric pieces
     for middle, (one, two) in enumerate(TET_EDGES):  # and straight, or four points would not integrate them exactly
@@ -92,7 +92,7 @@ def test_split_pressures_match_the_twin() -> None:
     used, small = np.unique(cells[some], return_inverse=True)  # a dense twin of the nodes that take part
     small = small.reshape(-1, 14).astype(np.int32)
     _, residual, tangent = reference.assemble(
-        u[used], p[used], small[:, :10], gradients[some], weights[some], shape, law[some], kappa[some], small[:, 10:]
+        u[used], p[used], small[:, :10], TetQuadrature(gradients[some], weights[some], shape), law[some], kappa[some], small[:, 10:]
     )
     force, volume, _ = part.internal_force()
     kept = part.free[used]

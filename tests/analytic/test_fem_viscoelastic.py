@@ -10,6 +10,7 @@ from fem_fixtures import Array, box_mesh, cap_scene, equilibrium, flat_gel, prob
 
 from gelsim.fem import quasistatic, reference
 from gelsim.fem.assembly import Solids
+from gelsim.fem.elements import TetQuadrature
 from gelsim.fem.viscoelastic import Memory, isochoric_stress, prony_arrays
 from gelsim.geometry import TetMesh, quadratic_tets
 from gelsim.scene.definition import Scene
@@ -81,7 +82,7 @@ def test_kernels_and_history_match_the_twin(law: str) -> None:
     assert np.abs(force - wanted).max() <= bound * np.abs(wanted).max()
     # and the matrix, of the step's law and history
     history, in_use = memory._history.numpy(), solids._inputs[6].numpy()
-    _, residual, tangent = reference.assemble(u, p, solids.tets, gradients, weights, shape, in_use, kappa, history=history)
+    _, residual, tangent = reference.assemble(u, p, solids.tets, TetQuadrature(gradients, weights, shape), in_use, kappa, history=history)
     assert np.abs(force - residual[:, :3]).max() <= bound * np.abs(residual).max()
     kept = solids.free
     wanted_tangent = tangent[kept][:, kept]
@@ -128,7 +129,7 @@ def test_tangent_against_central_differences(fault: str | None) -> None:
 def bar(law: str = "neo-hookean", nu: float = 0.4999) -> tuple[Solids, Memory, TetMesh]:
     """A block of 2 mm on three sliding planes, its top driven."""
     line = np.linspace(0, 2 * MM, 3)
-    mesh = box_mesh(line, line, line, "bottom", "top", "side", shake=0.2)
+    mesh = box_mesh(line, line, line, ("bottom", "top", "side"), shake=0.2)
     fixed = np.abs(mesh.rest_positions) < 1e-12
     fixed[mesh.rest_positions[:, 2] > 2 * MM - 1e-12, 2] = True
     solids = solids_of(mesh, ElasticMaterial.from_modulus(50e3, nu, law, LAWS[law]), fixed)

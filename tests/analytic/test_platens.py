@@ -58,7 +58,7 @@ def test_the_modulus_that_a_test_was_made_with_is_found(silicone: Path, tmp_path
         return strain, (1.25 if friction == "stick" else 1.1) * force
 
     monkeypatch.setattr(measured_silicones, "platen_curve", stiffer)
-    runner.run(tmp_path / "out", sections=("measured-silicones",), options=Options(data=silicone))
+    runner.run(tmp_path / "out", Options(("measured-silicones",), data=silicone))
     (row,) = (json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines())
     # its forces have six digits; c₂/c₁ is on a grid that has 0, the lost height on one that has 0.3
     assert row["smooth_kpa"] == pytest.approx(40.0, abs=0.1) and row["smooth_ratio"] == 0.0 and row["smooth_lost_mm"] == 0.3
@@ -75,6 +75,6 @@ def test_a_silicone_whose_curve_ends_too_early_is_reported(silicone: Path, tmp_p
         return smooth_curve(ratio)
 
     monkeypatch.setattr(measured_silicones, "platen_curve", ends)
-    runner.run(tmp_path / "out", sections=("measured-silicones",), options=Options(data=silicone))
+    runner.run(tmp_path / "out", Options(("measured-silicones",), data=silicone))
     (row,) = (json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines())
     assert row["status"] == "SolveError" and "3.83" in row["message"]

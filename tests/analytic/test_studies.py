@@ -12,7 +12,7 @@ from gelsim.errors import SceneError
 from gelsim.membrane.surface import GRID_SPACING, rest_membrane
 from gelsim.optics import height_map
 from gelsim.optics.camera import pixel_size
-from gelsim.optics.isp import srgb_tone
+from gelsim.optics.srgb import srgb_tone
 from gelsim.results import Frame, Membrane
 from gelsim.scene.layers import nested
 from gelsim.scene.materials import modulus_from_shore_00
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 def rows(name: str, out: Path) -> list[Row]:
     """Of the quick form; no case failed."""
-    told = runner.run(load_study(name), out, quick=True)
+    told = runner.run(load_study(name).small(), out)
     assert told["failed"] == []
     return list(runner.Ledger(out / runner.RESULTS, resume=True).rows.values())
 

@@ -35,7 +35,7 @@ class Pair:
     def __init__(self, friction: float, curved: bool, overlap: float = 0.004, waves: float = 0.002, slope: float = 0.0,
                  symmetry: str = "", grid: tuple[float, float] = (-1.3, 1.3)) -> None:  # fmt: skip
         line = np.linspace(-1, 1, 3) * MM
-        gel = box_mesh(line, line, np.array([-1.0, 0.0]) * MM, "bonded", "coated", "side").surface("coated")
+        gel = box_mesh(line, line, np.array([-1.0, 0.0]) * MM, ("bonded", "coated", "side")).surface("coated")
         across, along = np.linspace(*grid, 4), np.linspace(-1.3, 1.3, 4)
         x, y = (a.ravel() for a in np.meshgrid(across, along, indexing="ij"))
         number = np.arange(16).reshape(4, 4)
@@ -115,8 +115,8 @@ def by_twin(pair: Pair, x: Array, force: Callable[[Array, tuple], Array]) -> Arr
     for i in touching(pair):
         own = i // c.points
         nodes = np.concatenate([c.slave_faces[own], c.master_faces[met[i]], c.master_faces[anchors[i]]])
-        known = (pair.at[i % c.points], place[i, :2], float(multiplier[i]), float(stiffness[own]), SMOOTHING)
-        held = (anchored[i, :2], shift[i], float(stick[own]), c.law.friction)
+        law = ContactLaw(float(stiffness[own]), SMOOTHING, c.law.friction, float(stick[own]))
+        known, held = (pair.at[i % c.points], place[i, :2], float(multiplier[i]), law), (anchored[i, :2], shift[i])
         np.add.at(total, nodes, c.rest_weight[i] * force(x[nodes], (known, held)))
     return total
 
@@ -140,9 +140,11 @@ def whole(nodes: Array, data: tuple) -> Array:  # type: ignore[type-arg]
 
 def along_the_objects(nodes: Array, data: tuple) -> Array:  # type: ignore[type-arg]
     """Fault: where the line meets the object, the normal is that of the object."""
-    at, xi, multiplier, k, eps = data[0]
+    at, xi, multiplier, law = data[0]
     gap, _, there = reference.meeting(nodes, at, xi)
-    force = reference.penalty_pressure(multiplier / k - gap, k, eps) * reference.face_normal(nodes[6:12], there)
+    force = reference.penalty_pressure(multiplier / law.stiffness - gap, law.stiffness, SMOOTHING) * reference.face_normal(
+        nodes[6:12], there
+    )
     shares = [reference.tri6_shape(np.array([1 - v.sum(), *v])) for v in (at, there)]
     return np.outer(np.concatenate([-shares[0], shares[1], np.zeros(6)]), force)
 

@@ -8,6 +8,7 @@ from fem_fixtures import Array, solids_of, tangent_of
 
 from gelsim.fem import reference
 from gelsim.fem.assembly import Solids
+from gelsim.fem.elements import TetQuadrature
 from gelsim.geometry import TetMesh, quadratic_tets
 from gelsim.scene.materials import ElasticMaterial
 
@@ -43,7 +44,7 @@ def deformed(points: int, law: str, nu: float = 0.499) -> Solids:
 def twin(solids: Solids) -> tuple[float, Array, Array]:
     u, p = solids.state()
     _, _, _, gradients, weights, shape, law, kappa = (array.numpy() for array in solids._inputs)
-    return reference.assemble(u, p, solids.tets, gradients, weights, shape, law, kappa)
+    return reference.assemble(u, p, solids.tets, TetQuadrature(gradients, weights, shape), law, kappa)
 
 
 @pytest.mark.parametrize("points", [4, pytest.param(11, marks=pytest.mark.slow)])

@@ -24,7 +24,7 @@ from gelsim.generate.run import keep_plan, kept_plan
 from gelsim.scene.layers import build_scene
 from learn import recordings
 from learn.config import configure
-from learn.recordings import Archive, archive, camera_noise
+from learn.recordings import Archive, Reading, archive, camera_noise
 from learn.stream import Stream
 
 INPUTS = configure(picture=(24, 32), widths=(8, 16)).input
@@ -80,7 +80,7 @@ def datasets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, P
 
 def read(folder: Path, cache: Path | None = None, **more: Any) -> Archive:
     data = load_dataset(folder)
-    return archive(data, [row["index"] for row in data.rows], INPUTS, cache, device="cpu", **more)
+    return archive(data, [row["index"] for row in data.rows], INPUTS, Reading(cache, device="cpu", **more))
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from learn import recordings
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import LearnError, configure
 from learn.data import Batch, choose, collate, gel_of, held_presses, sides
-from learn.recordings import Archive, Noise, archive, camera_noise, record_episode
+from learn.recordings import Archive, Noise, Reading, archive, camera_noise, record_episode
 from learn.stream import Stream, share
 
 CONFIG = configure(**TINY)
@@ -114,12 +114,12 @@ def test_the_cache_gives_what_memory_gives(fake_data: Path, part: Archive, tmp_p
     dataset = load_dataset(fake_data)
     indices = [row["index"] for row in part.rows]
     for _ in range(2):  # written, then mapped
-        cached = archive(dataset, indices, CONFIG.input, tmp_path, workers=workers)
+        cached = archive(dataset, indices, CONFIG.input, Reading(tmp_path, workers=workers))
         for number in (0, len(part) - 1):
             a, b = part.recording(number), cached.recording(number)
             assert np.array_equal(a.pictures, b.pictures) and np.array_equal(a.background, b.background) and a.noise == b.noise
             assert np.array_equal(part.features[number], cached.features[number])
-    archive(dataset, indices[:3], CONFIG.input, tmp_path)  # another choice of the same dataset reads nothing anew
+    archive(dataset, indices[:3], CONFIG.input, Reading(tmp_path))  # another choice of the same dataset reads nothing anew
     assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
 
 
@@ -139,14 +139,14 @@ def test_a_cache_that_was_interrupted_goes_on(
 
     monkeypatch.setattr(recordings, "_AT_ONCE", 2)
     with pytest.raises(KeyboardInterrupt):
-        archive(dataset, indices, CONFIG.input, tmp_path, stop, workers)
+        archive(dataset, indices, CONFIG.input, Reading(tmp_path, stop, workers))
     (half,) = tmp_path.glob("*.partial")
     done = sorted(half.glob("[0-9]*.npz"))
     assert len(done) == 3 < len(dataset.rows) / 2
     done[0].write_bytes(done[0].read_bytes()[:100])
 
     again: list[int] = []
-    cached = archive(dataset, indices, CONFIG.input, tmp_path, lambda what, done, count: again.append(done), workers)
+    cached = archive(dataset, indices, CONFIG.input, Reading(tmp_path, lambda what, done, count: again.append(done), workers))
     assert again[0] >= 3 * 2 and again[-1] == len(dataset.rows)  # two whole files count, and the first handful that is read
     assert len(again) <= (len(dataset.rows) + 1) // 2 - 2
     whole = archive(dataset, indices, CONFIG.input)

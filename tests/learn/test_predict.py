@@ -253,9 +253,9 @@ def test_help_is_instant(arguments: list[str]) -> None:
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, words in (
-        (["train", "--data", "x", "--out", "y", "--stepz", "3"], "nearest is --steps"),
+        (["train", "--data", "x", "--out", "y", "--stepz", "3"], "did you mean '--steps'"),
         (["train", "--data", str(tmp_path), "--out", str(tmp_path / "run")], "is no dataset"),
-        (["train", "--data", "x", "--out", "y", "--batch", "many"], "batch = 'many': expected int"),
+        (["train", "--data", "x", "--out", "y", "--batch", "many"], "batch = 'many': expected a whole number"),
         (["eval", "--model", str(tmp_path / "no.pt"), "--data", str(tmp_path)], "no"),
         (["predict", "--model", "defolt", "x.mp4"], "no shipped checkpoint"),
         (["nonsense"], "COMMAND"),

@@ -309,12 +309,12 @@ def test_damaged_and_foreign_checkpoints_are_refused(tiny_run: Path, tmp_path: P
 
 def test_settings_are_checked() -> None:
     for wrong, words in (
-        ({"setps": 3}, "nearest is 'steps'"),
+        ({"setps": 3}, "did you mean 'steps'"),
         ({"steps": 0}, "steps = 0"),
         ({"rate": float("nan")}, "rate = nan"),
         ({"picture": (8, 8)}, "picture"),
-        ({"batch": 2.5}, "expected int"),
-        ({"mirror": "maybe"}, "expected bool"),
+        ({"batch": 2.5}, "expected a whole number"),
+        ({"mirror": "maybe"}, "expected true or false"),
         ({"model": "paper"}, "224"),
     ):
         with pytest.raises(LearnError, match=words):

@@ -73,7 +73,7 @@ def test_every_study_has_its_section_and_its_quick_form_is_run() -> None:
         (section,) = (text for text in sections if text.startswith(f"{name}\n"))
         assert f"![{name}](images/study_{name}.png)" in section
         assert re.search(rf"^    gelsim study {name}( --workers \d+)?$", section, re.MULTILINE)
-        assert re.search(r"^\d+ cases, \d+ s of wall time summed over them, 2 cores", section, re.MULTILINE)
+        assert re.search(r"^\d+ cases, \d+ s in all, 2 cores", section, re.MULTILINE)
         assert f'rows("{name}", tmp_path)' in tests, f"{name} --quick is not run"
 
 

@@ -128,7 +128,7 @@ def test_soft_hemisphere_on_real_meshes() -> None:
 @pytest.mark.parametrize(("nu", "wanted"), [(0.49, 1.237), (0.499, 1.394)])
 def test_bonded_disc(nu: float, wanted: float) -> None:
     """Radius 5 mm, height 2.4 mm, both faces bonded, compressed by 10 %: force ± 0.3 %. Half the height, the middle plane sliding."""
-    disc = quarter_disc(5.0, 7, 1.2 * np.array([0, 0.35, 0.65, 0.85, 1.0]), "middle", "bonded", "rim")
+    disc = quarter_disc(5.0, 7, 1.2 * np.array([0, 0.35, 0.65, 0.85, 1.0]), ("middle", "bonded", "rim"))
     assert 4 * volume(disc) == pytest.approx(np.pi * 25e-6 * 1.2e-3, rel=1e-5)  # a circle by quadratic arcs: (angle of an arc)⁴/700
     node = disc.rest_positions
     fixed = node == 0.0

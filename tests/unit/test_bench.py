@@ -18,6 +18,7 @@ import pytest
 
 from gelsim.bench import SECTIONS, accuracy, blocks, bounded, closed_forms, optics, random_scenes, runner, stability, target
 from gelsim.bench.section import Case, Known, Options, Section
+from gelsim.cli.main import main
 from gelsim.errors import PressEnd, SceneError
 from gelsim.scene.layers import build_scene
 from gelsim.work.workers import Handful, LocalCrew, work_through
@@ -144,8 +145,8 @@ def test_a_page_keeps_its_words_and_gets_its_table(tmp_path: Path, measured: lis
     measured.append("stopped")
     page = tmp_path / "page.md"
     page.write_text("Before.\n<!-- bench letters -->\n<!-- /bench -->\nAfter.\n<!-- bench others -->\nold\n<!-- /bench -->\n")
-    for _ in range(2):
-        runner.run(tmp_path / "out", resume=True, page=page)
+    for _ in range(2):  # without --only: the sections that the page has places for
+        assert main(["bench", "--out", str(tmp_path / "out"), "--resume", "--page", str(page)]) == 0
         text = page.read_text()
         assert text.startswith("Before.\n<!-- bench letters -->\n\n`gelsim bench --only letters`")
         assert "| a | 97 | True |\n| b | 98 | False |\n| c | 99 | False |\n\n3 letters.\n\n<!-- /bench -->\nAfter." in text
@@ -156,7 +157,7 @@ def test_a_page_keeps_its_words_and_gets_its_table(tmp_path: Path, measured: lis
 
 
 def test_measured_sections_without_their_data_say_what_they_need(tmp_path: Path) -> None:
-    out = runner.run(tmp_path, sections=("measured-ball", "measured-silicones"), options=Options(data=None))
+    out = runner.run(tmp_path, Options(("measured-ball", "measured-silicones"), data=None))
     assert out["cases"] == 0
     assert (tmp_path / "bench.md").read_text().count("Skipped: --data DIR or $GELSIM_DATA") == 2
 
@@ -322,10 +323,10 @@ def test_a_status_is_written_small_and_a_unit_as_it_is() -> None:
 
 def test_workers_share_the_cases(tmp_path: Path) -> None:
     """Two processes give the rows that one gives, and a run that was stopped goes on."""
-    asked = {"sections": ["closed-forms"], "options": Options(quick=True, data=None)}
-    runner.run(tmp_path / "one", **asked, limit=2)
-    first = runner.run(tmp_path / "two", **asked, limit=2, workers=2)
-    again = runner.run(tmp_path / "two", **asked, limit=0, workers=2, resume=True)
+    asked = Options(("closed-forms",), quick=True, data=None)
+    runner.run(tmp_path / "one", asked, limit=2)
+    first = runner.run(tmp_path / "two", asked, limit=2, workers=2)
+    again = runner.run(tmp_path / "two", asked, limit=0, workers=2, resume=True)
     assert first["missing"] == again["missing"] == again["cases"] + first["missing"] - 2
     kept, shared = (
         [{key: value for key, value in row.items() if key not in ("load", "seconds", "workers")} for row in _rows(tmp_path / folder)]
@@ -333,7 +334,7 @@ def test_workers_share_the_cases(tmp_path: Path) -> None:
     )
     assert len(kept) == 2 and sorted(shared, key=str) == sorted(kept, key=str)
     with pytest.raises(SceneError, match="--workers 0"):
-        runner.run(tmp_path / "three", **asked, workers=0)
+        runner.run(tmp_path / "three", asked, workers=0)
 
 
 def _rows(folder: Path) -> list[dict[str, object]]:

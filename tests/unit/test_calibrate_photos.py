@@ -153,16 +153,18 @@ def test_a_fit_worse_than_no_contact_is_warned_of(folder, off, warned):
     base: Any = SimpleNamespace(sensor=SimpleNamespace(preset="none"))
     frozen, nothing = np.ones(len(GLOBALS), bool), np.zeros(0)
     none: Any = SimpleNamespace(deepest=lambda radii: np.ones(len(radii)))
-    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, photos.counted, none, frozen, "cpu")
+    job = run._Job(photos, base, 1, photos.pictures, photos.no_contact, none, folder, nothing, photos.counted, none, frozen, "cpu",
+                   lambda *_: None, [])  # fmt: skip
     fitted = run.Fitted(sensor, np.zeros((1, 3)), 0.0, 1.0, 1.0, np.eye(sensor.vector.size), 1)
+    state = run._State("fit", fitted, sensor, np.zeros(1, int), None)
     places = np.zeros((1, 3))
-    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
+    report = run._report(job, state, places, places, photos.no_contact, photos.pictures + off)
     assert ["worse than the no-contact picture does (MSE 225.0, not 100.0)" in text for text in report["warnings"]] == [True] * warned
     # The no-contact photograph's crop is its own: here all of it is off by 10. Depths at a bound are said.
     assert report["scores"]["no_contact_as_train"]["crop"]["mse"] == pytest.approx(100.0)
     assert any("depth at its bound" in text for text in report["warnings"]) is False
     places[0, 2] = 1.0
-    report = run._report(job, base, fitted, sensor, places, places, photos.no_contact, photos.pictures + off, [])
+    report = run._report(job, state, places, places, photos.no_contact, photos.pictures + off)
     assert any("depth at its bound of 1 mm, the deepest that is solved: a.png; check ball_radius_mm" in text for text in report["warnings"])
 
 
@@ -187,8 +189,8 @@ def test_the_best_state_stays_whatever_comes_later(folder, monkeypatch):
     monkeypatch.setattr(run, "_locate", lambda job, state, presses, *_: SimpleNamespace(presses=presses))
     monkeypatch.setattr(run, "_correction", lambda *_: (None, None))
     monkeypatch.setattr(run, "_dent_error", lambda job, pictures, which: next(errors))
-    job: Any = SimpleNamespace(photos=photos, data=lambda *_: None, dents=None)
-    _, _, states, judged = run._states(job, 0.1, lambda *_: None)
+    job: Any = SimpleNamespace(photos=photos, data=lambda *_: None, dents=None, show=lambda *_: None)
+    _, _, states, judged = run._states(job, 0.1)
     assert [state.error for state in states] == [5.0, 3.0, 4.0] and min(states, key=lambda each: each.error) is states[1]
     assert judged.tolist() == [2, 6] and fits == [6, 6, 6] and not set(judged) & set(states[1].which)
 

@@ -116,6 +116,9 @@ def test_equal_pictures_are_kept_once(tmp_path: Path) -> None:
     with tarfile.open(path) as tar:
         one, other = tar.extractfile("frames/0005.webp"), tar.extractfile(last)
         assert one is not None and other is not None and one.read() == other.read() != b""
+        # WebDataset's readers take each regular file as a sample of its own and pass over links: the row says how many frames there are.
+        seen = [member.name for member in tar if member.isreg() and member.name.startswith("frames/")]
+        assert seen == ["frames/0002.webp", last] and made.row["frames"] == 6
     # The sums count each frame: exactly, for they are whole numbers.
     sums = survey(tmp_path).sums[0]
     for name, values in (("levels", made.frames), ("change", made.frames.astype(np.int64) - made.background)):

@@ -97,7 +97,7 @@ def test_face_functions_of_both_homes_agree() -> None:
 @pytest.mark.parametrize("points", [4, 11])
 def test_rest_gradients(points: int) -> None:
     line = np.linspace(0, 1, 3) * MM
-    mesh = box_mesh(line, line, line, "bottom", "top", "side", shake=0.2)
+    mesh = box_mesh(line, line, line, ("bottom", "top", "side"), shake=0.2)
     data = tet_quadrature_data(mesh, points)
     assert data.weights.sum() == pytest.approx(1e-9, rel=100 * EPS)  # the box's volume; 48 tets times the rule
     # gradients of a quadratic field of the nodes are those of the field; straight tets hold it exactly
@@ -111,7 +111,7 @@ def test_rest_gradients(points: int) -> None:
 
 def test_a_tet_folded_over_is_refused() -> None:
     line = np.linspace(0, 1, 2) * MM
-    mesh = box_mesh(line, line, line, "bottom", "top", "side")
+    mesh = box_mesh(line, line, line, ("bottom", "top", "side"))
     nodes = mesh.rest_positions.copy()
     tet = mesh.tets[0]
     nodes[tet[4]] = nodes[tet[3]] + 0.6 * (nodes[tet[3]] - nodes[tet[4]])  # a middle thrown beyond the opposite vertex

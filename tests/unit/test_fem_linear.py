@@ -24,7 +24,7 @@ needs_mkl = pytest.mark.skipif(find_mkl() is None, reason="no MKL here")
 def small_solids(nu: float = 0.4999, cells: int = 2) -> Solids:
     """A block on three sliding planes, strained and with a pressure field."""
     line = np.linspace(0, 1, cells + 1) * MM
-    mesh = box_mesh(line, line, line, "bottom", "top", "side", shake=0.2)
+    mesh = box_mesh(line, line, line, ("bottom", "top", "side"), shake=0.2)
     solids = solids_of(mesh, ElasticMaterial.from_modulus(50e3, nu), np.abs(mesh.rest_positions) < 1e-12)
     rng = np.random.default_rng(2)
     free = solids.free

@@ -48,7 +48,7 @@ def wanted(monkeypatch: pytest.MonkeyPatch) -> Wanted:
     class _Enough(Exception):
         """What was to be filled is all that is asked for."""
 
-    def fill(surface: TriMesh, shape: object, field: SizeField, *_: object) -> None:
+    def fill(domain: object, field: SizeField, *_: object) -> None:
         raise _Enough(field)
 
     def of(given: Scene) -> SizeField:
@@ -309,5 +309,5 @@ def test_what_cannot_be_filled_says_so() -> None:
     field = SizeField((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), 1e-3, 0.5, 2e-3)
     sheet = TriMesh(np.array([[0, 0, 0], [5e-3, 0, 0], [0, 5e-3, 0]]), np.array([[0, 1, 2]]))
     with pytest.raises(MeshingError, match=r"filling the object \(sheet\).*try") as caught:
-        body_mesh._fill(sheet, None, field, 1.0, 0.15, "the object (sheet)")
+        body_mesh._fill(body_mesh.Domain("the object (sheet)", sheet), field, 1.0, 0.15)
     assert "\n" not in str(caught.value)

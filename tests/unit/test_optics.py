@@ -13,10 +13,11 @@ from gelsim.membrane.surface import GRID_SPACING, rest_membrane
 from gelsim.optics import choose_variant, height_map, project, render_frames, variant
 from gelsim.optics.camera import marker_pixels, pixel_rays, window_transmission
 from gelsim.optics.coating import marker_coverage
-from gelsim.optics.isp import develop, srgb_tone
+from gelsim.optics.isp import develop
 from gelsim.optics.lighting import check_lights
 from gelsim.optics.render import Renderer
 from gelsim.optics.scene_dict import path_count, scene_dict
+from gelsim.optics.srgb import srgb_tone
 from gelsim.results import Membrane
 from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 from gelsim.scene.layers import build_scene

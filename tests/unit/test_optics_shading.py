@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gelsim.errors import SceneError
-from gelsim.optics.isp import develop, srgb_tone
+from gelsim.optics.isp import develop
 from gelsim.optics.shading import shading_basis, shading_gain
+from gelsim.optics.srgb import srgb_tone
 from gelsim.scene.definition import Camera, Render, Scene
 
 

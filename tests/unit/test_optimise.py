@@ -159,3 +159,5 @@ def test_what_takes_no_fractions_is_refused_before_any_scene(tmp_path: Path, bow
 def test_too_few_evaluations(tmp_path: Path, bowls: list[tuple[float, float]], capsys: pytest.CaptureFixture[str]) -> None:
     assert search(tmp_path / "a", "here", "--evaluations", "16") == 2 and bowls == []
     assert "16 samples" in capsys.readouterr().err
+    assert search(tmp_path / "a", "here", "--workers", "0") == 2 and bowls == [] and not (tmp_path / "a").exists()
+    assert "--workers 0: allowed is 1" in capsys.readouterr().err

@@ -54,7 +54,7 @@ def letters(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 @pytest.mark.parametrize("name", STUDIES)
 def test_ready_made_studies_are_scenes(name: str, quick: bool) -> None:
     study = load_study(name)
-    study = Study(**(vars(study) | (dict(study.quick) if quick else {})))
+    study = study.small() if quick else study
     points = study.points()
     assert len({str(point) for point in points}) == len(points) <= (6 if quick else 42)
     for point in points:
@@ -111,7 +111,7 @@ def test_a_study_without_a_small_form_says_so(tmp_path: Path, letters: list[floa
     path = tmp_path / "own.toml"
     path.write_text(OWN)
     with pytest.raises(SceneError, match="--quick: study own has no small form"):
-        runner.run(load_study(str(path)), tmp_path / "out", quick=True)
+        load_study(str(path)).small()
     assert not (tmp_path / "out").exists() and letters == []
 
 

@@ -43,8 +43,7 @@ class PlanarProblem(PressProblem):
     """
 
     def __init__(self, scene: Scene, gel: PlanarMesh, body: PlanarMesh, gel_material: ElasticMaterial,
-                 object_material: ElasticMaterial | None, depth_mm: float | None, *, tolerance: float | None = None,
-                 contact_points: int = 4, triangle_points: int = 6) -> None:  # fmt: skip
+                 object_material: ElasticMaterial | None, depth_mm: float | None, *, tolerance: float | None = None) -> None:  # fmt: skip
         self.scene, self.object_material, self.held = scene, object_material, 0.0
         self.gel, self.body = gel, body  # type: ignore[assignment]
         self.turned, self.depth_mm = depth_mm is None, depth_mm
@@ -72,7 +71,7 @@ class PlanarProblem(PressProblem):
         def each(values: Sequence[Array] | Sequence[float]) -> Array:
             return np.repeat(np.array(values), counts, axis=0)
 
-        self.quadrature: PlanarQuadrature = planar_quadrature(rest, triangles, self.turned, triangle_points)
+        self.quadrature: PlanarQuadrature = planar_quadrature(rest, triangles, self.turned)
         law = each([isochoric_constants(material, ogden) for _, material, _ in meshes])
         self.solids = PlanarSolids(rest, triangles, self.quadrature, law, each([m.kappa * KPA_PER_PA for _, m, _ in meshes]), fixed, "cpu")
         self.regions = each([0, 1][: len(meshes)])
@@ -83,7 +82,7 @@ class PlanarProblem(PressProblem):
         friction = -1.0 if mu == "stick" else float(mu)
         self.law = ContactLaw(PENALTY_PER_MODULUS * softest, SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         edges = (body.groups["contact"] + n).astype(np.int32)
-        self.contact = EdgeContact(gel.groups["coated"], edges, rest, self.law, self.turned, contact_points)
+        self.contact = EdgeContact(gel.groups["coated"], edges, rest, self.law, self.turned)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
 
     def _across_planes(self, force: Array) -> Array:
