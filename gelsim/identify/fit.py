@@ -27,6 +27,7 @@ LEAST_MM = 0.02
 PATCH_MM = 1.0
 FARTHEST_MM = 0.2
 """That a place may be shifted without a press there."""
+SMOOTH_MM = 0.5
 LEVELS = 0.3
 """Least standard deviation of a level: the drawn pictures' own rounding."""
 LARGEST = 1.0
@@ -72,6 +73,22 @@ class Problem:
         patch = np.floor(places / PATCH_MM).astype(int)
         self.patch = np.unique(patch, axis=0, return_inverse=True)[1].reshape(-1)
         """Number of each pixel's patch, (H W,)."""
+
+    def aside(self, drawn: Array) -> Array:
+        """By how much drawn changes (K, H, W, 3) are to be shifted to lie on those seen, as whole pixels allow [mm]: the largest
+        correlation, smooth parts alone, for dots stay where they are."""
+        from scipy.ndimage import gaussian_filter
+        from scipy.signal import fftconvolve
+
+        wide, high = self.recording.size
+        middle = np.array([[wide / 2, high / 2], [wide / 2 + 1, high / 2]])
+        per_px = float(np.abs(np.diff(self.camera.places_mm(middle), axis=0)).max())
+        blur = (0, SMOOTH_MM / per_px, SMOOTH_MM / per_px, 0)
+        seen, drawn = gaussian_filter(self.recording.change, blur), gaussian_filter(drawn, blur)
+        likeness = fftconvolve(seen, drawn[:, ::-1, ::-1], mode="same", axes=(1, 2)).sum(axis=(0, 3))
+        row, column = np.unravel_index(int(likeness.argmax()), likeness.shape)
+        shift = np.array([[column - (wide - 1) // 2, row - (high - 1) // 2]])
+        return np.asarray(self.camera.places_mm(middle[:1] + shift) - self.camera.places_mm(middle[:1]), float)[0]
 
     def start(self, pressed: Pressed, approach_mm: Array) -> Fit:
         """The presses as they are; the numbers are those of `solve`."""

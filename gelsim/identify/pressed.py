@@ -88,19 +88,23 @@ class Pressed:
         return moved, mixed[:, -1]
 
 
-def press_at(scene: Scene, log_modulus: float, place_mm: tuple[float, float], depth_mm: float, device: str) -> Pressed:
-    """Presses the scene's object, of a modulus exp(`log_modulus`) kPa, at a place of the gel.
+def press_at(
+    scene: Scene, log_modulus: float, place_mm: tuple[float, float], depth_mm: float, device: str, *, alone: bool = False
+) -> Pressed:
+    """Presses the scene's object, of a modulus exp(`log_modulus`) kPa, at a place of the gel; `alone`: at no other modulus.
 
     Raises:
         SceneError, MeshingError: It cannot be pressed there. SolveError: it finds no equilibrium.
     """
-    presses = [stages.press(_of(scene, log_modulus + step, place_mm, depth_mm), device=device) for step in (0.0, LOG_STEP)]
+    presses = [
+        stages.press(_of(scene, log_modulus + step, place_mm, depth_mm), device=device) for step in ((0.0,) if alone else (0.0, LOG_STEP))
+    ]
     first = presses[0]
     warnings = tuple(str(told) for told in first.info.get("warnings", []))  # type: ignore[attr-defined]
     surface = Surface(scene.gel, first.gel.rest[:, :2])
     deepest = float(min(press.approach[-1] for press in presses)) / MM
-    at_modulus, stiffer = map(_spline, presses)
-    return Pressed(log_modulus, place_mm, deepest, surface, at_modulus, stiffer, warnings)
+    splines = [_spline(press) for press in presses]
+    return Pressed(log_modulus, place_mm, deepest, surface, splines[0], splines[-1], warnings)
 
 
 def _of(scene: Scene, log_modulus: float, place_mm: tuple[float, float], depth_mm: float) -> Scene:

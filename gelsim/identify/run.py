@@ -76,7 +76,7 @@ def identify(
     camera = Camera(scene, recording.size, device, show)
     problem = Problem(camera, recording, force_sd)
     place = _place(camera, recording)
-    log_modulus, approach = _search(problem, scene, place, device, show)
+    log_modulus, place, approach = _search(problem, scene, place, device, show)
     coarse = scene.replace(fidelity="fast", target_error=None, target_membrane_um=None)
     fit = None
     for stage in [coarse] if scene.fidelity == "fast" else [coarse, scene]:
@@ -135,16 +135,17 @@ def _place(camera: Camera, recording: Recording) -> Array:
     return camera.places_mm(contacts[:, :2])[0]
 
 
-def _search(problem: Problem, scene: Scene, place: Array, device: str, show: Progress) -> tuple[float, Array]:
-    """Log E [kPa] and approaches [mm] to begin with."""
+def _search(problem: Problem, scene: Scene, place: Array, device: str, show: Progress) -> tuple[float, Array, Array]:
+    """Log E [kPa], place and approaches [mm] to begin with."""
     coarse = scene.replace(fidelity="fast", target_error=None, target_membrane_um=None)
-    found = []
-    for number, shore in enumerate(BEGUN):
-        show("search", number, len(BEGUN))
+    found: list[tuple[float, float, Array]] = []
+    presses = (BEGUN[len(BEGUN) // 2], *BEGUN)
+    for number, shore in enumerate(presses):
+        show("search", number, len(presses))
         log_modulus, depth = float(np.log(modulus_from_shore_00(shore) / 1e3)), FIRST_DEPTH_MM
         most = furthest_approach(coarse.replace(press=replace(coarse.press, depth_mm=None))) / MM
         while True:
-            pressed = press_at(coarse, log_modulus, _rounded(place), min(depth, most), device)
+            pressed = press_at(coarse, log_modulus, _rounded(place), min(depth, most), device, alone=True)
             approaches = np.linspace(0.0, pressed.deepest_mm, RECORDED)[1:]
             drawn = problem.camera.change(pressed.surface, pressed.states(approaches)[0])
             costs = np.array([((each - drawn) ** 2).sum(axis=(1, 2, 3)) for each in problem.recording.change])
@@ -152,10 +153,13 @@ def _search(problem: Problem, scene: Scene, place: Array, device: str, show: Pro
             if best.max() < RECORDED - 3 or depth >= most:
                 break
             depth *= DEEPER
-        found.append((costs.min(axis=1).sum(), log_modulus, approaches[best]))
-    show("search", len(BEGUN), len(BEGUN))
+        if number == 0:  # says where the object is: until here that is known by an outline that the lamps shift
+            place = place + problem.aside(drawn[best])
+        else:
+            found.append((float(costs.min(axis=1).sum()), log_modulus, approaches[best]))
+    show("search", len(presses), len(presses))
     _, log_modulus, approach = min(found, key=lambda one: one[0])
-    return log_modulus, approach
+    return log_modulus, place, approach
 
 
 def _settle(problem: Problem, scene: Scene, log_modulus: float, place: Array, approach: Array, device: str, show: Progress) -> Fit:

@@ -137,3 +137,12 @@ def test_a_press_is_identified_and_a_wrong_gel_shows(tmp_path: Path, capsys: pyt
     assert main([*command, "--out", str(tmp_path / "out")]) == BAD_INPUT  # nothing is written over
     wrong = build_scene({"fidelity": "fast", "object": body, "gel": {"modulus_scale": 1.5}, "contact": {"friction_coefficient": 0.8}})
     assert abs(run.identify(tmp_path / "seen", wrong)["shore_00"] - 40.0) > 3.0
+
+
+def test_a_shift_is_seen() -> None:
+    """Drawn 1.5 mm right of and 0.75 mm above where it is seen: 12 and 6 pixels."""
+    camera, rest = Plain(), np.full((30, 40, 3), 100.0)
+    dents = np.array([[1.0, 0.5, 0.0, 0.0], [1.0, 0.5, 1.5, -0.75]])[..., None] * np.array([1.0, 0.0, 0.0])
+    seen, drawn = (camera.change(None, dents[[i]]) for i in (0, 1))
+    problem = Problem(camera, Recording(rest, rest + seen, np.array([1]), None), 1.0)  # type: ignore[arg-type]
+    assert problem.aside(drawn) == pytest.approx([-1.5, 0.75], abs=0.13)
