@@ -18,6 +18,7 @@ the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single pr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -39,6 +40,8 @@ ROUNDS = 12
 """Between pressure, shear and thickness, at most."""
 SETTLED = 2e-3
 """Relative change of the pressure, and of the thickness, at which the rounds end."""
+NODES = 0.01
+"""Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
 STEPS = 200
 """Of a gradient method, at most."""
 _WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 300.0, 3000)])
@@ -90,57 +93,105 @@ class Layer:
             cell * np.arange(0.5 - count / 2, count / 2, dtype=np.float64) for count, cell in zip(counts, self.cell, strict=True)
         )
         """Of the cells' middles [mm]."""
-        kx = 2 * np.pi * fft.rfftfreq(counts[0], self.cell[0])[None, :]
-        ky = 2 * np.pi * fft.fftfreq(counts[1], self.cell[1])[:, None]
-        self._k = np.hypot(kx, ky)
-        far = np.where(self._k == 0.0, 1.0, self._k)
-        # A wave of two cells has no direction to and fro.
-        odd = (np.arange(kx.shape[1])[None, :] != counts[0] // 2) & (np.arange(counts[1])[:, None] != counts[1] // 2)
-        self._cx, self._cy, self._odd = kx / far, ky / far, odd
-        self.thickness = 0.0
+        self._nodes: dict[tuple[int, int, int], Values] = {}
 
-    def thin(self, thickness: float) -> None:
-        """Sets the layer's thickness [mm]."""
-        shear, nu, k = self.material.shear_kpa, self.material.poissons_ratio, self._k
+    def window(self, shape: tuple[int, int], thickness: float) -> Window:
+        """What tractions on so many rows and columns, wherever they lie, do there, of a layer of some thickness [mm].
+
+        Not an approximation: no traction is outside, and twice as many cells keep the window's images apart.
+        """
+        padded = tuple(min(2 * count, whole) for count, whole in zip(shape, self.shape, strict=True))
+        place = math.log(thickness) / math.log1p(NODES)
+        node = math.floor(place)
+        share = np.float32(place - node)
+        answers = (1 - share) * self._node(*padded, node) + share * self._node(*padded, node + 1)
+        return Window(self, shape, padded, thickness, answers)
+
+    def _node(self, rows: int, columns: int, node: int) -> Values:
+        """The answers over the waves of a grid of `rows` and `columns`, of the thickness (1 + NODES)^node, (6, rows, columns / 2 + 1).
+
+        Of u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and over i of u_x and u_y by p.
+        """
+        if (rows, columns, node) in self._nodes:
+            return self._nodes[rows, columns, node]
+        shear, nu, thickness = self.material.shear_kpa, self.material.poissons_ratio, (1 + NODES) ** node
+        kx = 2 * np.pi * fft.rfftfreq(self.shape[1], self.cell[0])[None, :]
+        ky = 2 * np.pi * fft.fftfreq(self.shape[0], self.cell[1])[:, None]
+        k = np.hypot(kx, ky)
         scale = np.divide(1.0, shear * k, out=np.zeros_like(k), where=k > 0)
         along, mixed, normal, across = (scale * np.interp(k * thickness, _WAVES, table) for table in waves(nu))
         along[0, 0] = across[0, 0] = thickness / shear
         normal[0, 0] = thickness / shear * (1 - 2 * nu) / (2 - 2 * nu)
-        cx, cy = self._cx, self._cy
-        self._zz = normal.astype(np.float32)
-        self._xx, self._yy = ((along * a**2 + across * b**2).astype(np.float32) for a, b in ((cx, cy), (cy, cx)))
-        self._xx[0, 0] = self._yy[0, 0] = thickness / shear
-        self._xy = ((along - across) * cx * cy * self._odd).astype(np.float32)
-        self._xz, self._yz = ((1j * mixed * c * self._odd).astype(np.complex64) for c in (cx, cy))
-        self.thickness = thickness
+        cx, cy = (np.divide(way, k, out=np.zeros_like(k), where=k > 0) for way in (kx, ky))
+        # A wave of two cells has no direction to and fro.
+        odd = (np.arange(k.shape[1])[None, :] != self.shape[1] // 2) & (np.arange(k.shape[0])[:, None] != self.shape[0] // 2)
+        even = np.stack([normal, along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd])
+        even[1:3, 0, 0] = thickness / shear
+        turned = np.stack([mixed * cx * odd, mixed * cy * odd])
+        if (rows, columns) != self.shape:  # the answer to one cell, as far as the window reaches
+            space = fft.irfft2(np.concatenate([even, 1j * turned]), self.shape)
+            for axis, (count, whole) in enumerate(zip((rows, columns), self.shape, strict=True), start=1):
+                if count < whole:
+                    reach = np.arange(1 - count // 2, count // 2)
+                    cut = np.zeros((6, *(count if i == axis else space.shape[i] for i in (1, 2))))
+                    at = [slice(None)] * 3
+                    at[axis] = reach  # type: ignore[call-overload]
+                    cut[tuple(at)] = np.take(space, reach, axis=axis)
+                    space = cut
+            found = fft.rfft2(space)
+            even, turned = found[:4].real, found[4:].imag
+        self._nodes[rows, columns, node] = np.concatenate([even, turned]).astype(np.float32)
+        return self._nodes[rows, columns, node]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Some rows and columns of a layer's grid."""
+
+    layer: Layer
+    shape: tuple[int, int]
+    padded: tuple[int, ...]
+    thickness: float
+    answers: Values
+
+    def at(self, thickness: float) -> Window:
+        """The same of another thickness [mm]."""
+        return self.layer.window(self.shape, thickness)
 
     def _there(self, values: Values) -> NDArray[np.complex64]:
-        return fft.rfft2(values)  # type: ignore[return-value]
+        return fft.rfft2(values, self.padded)  # type: ignore[return-value]
 
     def _back(self, waves_of: NDArray[np.complex64]) -> Values:
-        return fft.irfft2(waves_of, self.shape)  # type: ignore[return-value]
+        return fft.irfft2(waves_of, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
+
+    def moved(self, pressure: Values, shear: Values) -> Values:
+        """Displacement u of all tractions together [mm], (3, rows, columns)."""
+        zz, xx, yy, xy, xz, yz = self.answers
+        x, y, p = self._there(np.concatenate([shear, pressure[None]]))
+        return self._back(np.stack([xx * x + xy * y - 1j * (xz * p), xy * x + yy * y - 1j * (yz * p), -1j * (xz * x + yz * y) - zz * p]))
 
     def sunk(self, pressure: Values) -> Values:
         """How deep a pressure alone presses the face [mm]."""
-        return self._back(self._zz * self._there(pressure))
+        return self._back(self.answers[0] * self._there(pressure))
 
     def dragged(self, shear: Values) -> Values:
         """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""
-        x, y = self._there(shear[0]), self._there(shear[1])
-        return np.stack([self._back(self._xx * x + self._xy * y), self._back(self._xy * x + self._yy * y)])
+        _, xx, yy, xy = self.answers[:4]
+        x, y = self._there(shear)
+        return self._back(np.stack([xx * x + xy * y, xy * x + yy * y]))
 
     def lifted(self, shear: Values) -> Values:
         """u_z of tangential tractions [mm]."""
-        return -self._back(self._xz * self._there(shear[0]) + self._yz * self._there(shear[1]))
+        x, y = self._there(shear)
+        return self._back(-1j * (self.answers[4] * x + self.answers[5] * y))
 
     def spread(self, pressure: Values) -> Values:
         """u_t of a pressure [mm], (2, rows, columns)."""
-        p = self._there(pressure)
-        return np.stack([-self._back(self._xz * p), -self._back(self._yz * p)])
+        return self._back(-1j * (self.answers[4:] * self._there(pressure)))
 
 
-def pressure(layer: Layer, room: Values, start: Values) -> Values:
-    """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0.
+def pressure(layer: Window, room: Values, start: Values) -> tuple[Values, Values]:
+    """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap.
 
     Args:
         room: Gap that the face has without it [mm]; negative where the object would overlap.
@@ -148,11 +199,11 @@ def pressure(layer: Layer, room: Values, start: Values) -> Values:
     """
     deepest = -float(room.min())
     if deepest <= 0.0:
-        return np.zeros_like(room)
+        return np.zeros_like(room), room
     # The contact lies where there is overlap or was pressure; what else joins is found by the overlap that it comes to.
     p = np.where(start > 0, start, 0.0).astype(np.float32)
     if not p.any():
-        p[room < 0] = layer.material.shear_kpa * 1e-3
+        p[room < 0] = layer.layer.material.shear_kpa * 1e-3
     gap = room + layer.sunk(p)
     way, before = np.zeros_like(p), 0.0
     for _ in range(STEPS):
@@ -167,7 +218,7 @@ def pressure(layer: Layer, room: Values, start: Values) -> Values:
         answer = layer.sunk(way)
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # nothing in contact yet, or no more than rounding is left
-            step = layer.material.shear_kpa / layer.thickness
+            step = layer.layer.material.shear_kpa / layer.thickness
         else:
             step = float(np.vdot(inside, way)) / steep
         moved = p - np.float32(step) * way
@@ -179,10 +230,10 @@ def pressure(layer: Layer, room: Values, start: Values) -> Values:
             before = 0.0 if overlap.any() else size
         else:
             p, gap, before = moved, gap - np.float32(step) * answer, size
-    return p
+    return p, gap
 
 
-def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
+def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
     """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip = away + dragged(q) is 0 where |q| < bound, else against q.
 
     Args:
@@ -203,7 +254,7 @@ def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
     way: Values = np.zeros_like(q)
     before, free_before = 0.0, None
     slip: Values = away + layer.dragged(q)
-    step = layer.material.shear_kpa / layer.thickness
+    step = layer.layer.material.shear_kpa / layer.thickness
     for _ in range(STEPS):
         at_bound = q[0] ** 2 + q[1] ** 2 >= (np.float32(1 - 1e-5) * bound) ** 2
         free = touching & ~(at_bound & ((slip * q).sum(axis=0) < 0))
