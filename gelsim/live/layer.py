@@ -242,34 +242,28 @@ def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
         start: A first guess.
     """
 
-    def projected(q: NDArray[np.floating]) -> Values:
-        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-        return (q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))).astype(np.float32, copy=False)
-
     touching = bound > 0
     if not touching.any():
         return np.zeros_like(away)
-    allowed = SLIP_TOLERANCE * float(np.linalg.norm(away * touching)), SLIP_TOLERANCE * float(np.linalg.norm(bound))
+
+    def projected(q: Values) -> Values:
+        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
+        return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+
+    softest = np.float32(layer.layer.material.shear_kpa / layer.thickness)
+    allowed = SLIP_TOLERANCE * min(float(softest) * float(np.linalg.norm(away * touching)), float(np.linalg.norm(bound)))
     q = projected(start)
-    way: Values = np.zeros_like(q)
-    before, free_before = 0.0, None
-    slip: Values = away + layer.dragged(q)
-    step = layer.layer.material.shear_kpa / layer.thickness
+    slip = (away + layer.dragged(q)) * touching
+    step = softest
     for _ in range(STEPS):
-        at_bound = q[0] ** 2 + q[1] ** 2 >= (np.float32(1 - 1e-5) * bound) ** 2
-        free = touching & ~(at_bound & ((slip * q).sum(axis=0) < 0))
-        inside = slip * free
-        change = (projected(q - np.float32(step) * slip) - q) * ~free
-        if float(np.linalg.norm(inside)) <= allowed[0] and float(np.linalg.norm(change)) <= allowed[1]:
+        if float(np.linalg.norm(projected(q - softest * slip) - q)) <= allowed:
             break
-        size = float(np.vdot(inside, inside))
-        same = free_before is not None and np.array_equal(free, free_before)
-        way = inside + np.float32(size / before if same and before else 0.0) * (way * free)
-        answer = layer.dragged(way)
+        way = projected(q - step * slip) - q
+        answer = layer.dragged(way) * touching
         steep = float(np.vdot(answer, way))
-        if steep > 0.0:
-            step = float(np.vdot(inside, way)) / steep
-        q = projected(q - np.float32(step) * (way + slip * ~free))
-        slip = away + layer.dragged(q)
-        before, free_before = size, free
+        if steep <= 0.0:  # no more than rounding is left
+            break
+        part = np.float32(min(1.0, -float(np.vdot(slip, way)) / steep))
+        q, slip = q + part * way, slip + part * answer
+        step = np.float32(steep / float(np.vdot(answer, answer)))
     return q
