@@ -144,6 +144,21 @@ class Layer:
         return self._nodes[rows, columns, node]
 
 
+@lru_cache(maxsize=64)
+def _waves_of(count: int, padded: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Fourier's transform of `count` cells padded to `padded` as matrices, which so few cells are through sooner than an FFT.
+
+    To all waves (padded, count) and back (count, padded); of real values to half of the waves, their real and imaginary parts side by
+    side (count, padded + 2), and back (padded + 2, count).
+    """
+    turn = np.exp(-2j * np.pi / padded * np.outer(np.arange(padded), np.arange(count))).astype(np.complex64)
+    half = turn[: padded // 2 + 1]
+    twice = np.full((len(half), 1), 2.0 / padded)
+    twice[[0, -1]] /= 2
+    real_back = np.stack([twice * half.real, twice * half.imag], axis=1).reshape(-1, count).astype(np.float32)
+    return turn, np.ascontiguousarray(half.T).view(np.float32), np.ascontiguousarray(turn.conj().T) / np.float32(padded), real_back
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
     """Some rows and columns of a layer's grid."""
@@ -159,10 +174,16 @@ class Window:
         return self.layer.window(self.shape, thickness)
 
     def _there(self, values: Values) -> NDArray[np.complex64]:
-        return fft.rfft2(values, self.padded)  # type: ignore[return-value]
+        if self.shape == self.layer.shape:
+            return fft.rfft2(values)  # type: ignore[return-value]
+        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+        return rows[0] @ (values @ columns[1]).view(np.complex64)
 
     def _back(self, waves_of: NDArray[np.complex64]) -> Values:
-        return fft.irfft2(waves_of, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
+        if self.shape == self.layer.shape:
+            return fft.irfft2(waves_of, self.shape)  # type: ignore[return-value]
+        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+        return (rows[2] @ waves_of).view(np.float32) @ columns[3]
 
     def moved(self, pressure: Values, shear: Values) -> Values:
         """Displacement u of all tractions together [mm], (3, rows, columns)."""
