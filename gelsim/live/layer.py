@@ -174,14 +174,14 @@ class Window:
         return self.layer.window(self.shape, thickness)
 
     def _there(self, values: Values) -> NDArray[np.complex64]:
-        if self.shape == self.layer.shape:
-            return fft.rfft2(values)  # type: ignore[return-value]
+        if self.padded == self.layer.shape:
+            return fft.rfft2(values, self.padded)  # type: ignore[return-value]
         rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
         return rows[0] @ (values @ columns[1]).view(np.complex64)
 
     def _back(self, waves_of: NDArray[np.complex64]) -> Values:
-        if self.shape == self.layer.shape:
-            return fft.irfft2(waves_of, self.shape)  # type: ignore[return-value]
+        if self.padded == self.layer.shape:
+            return fft.irfft2(waves_of, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
         rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
         return (rows[2] @ waves_of).view(np.float32) @ columns[3]
 

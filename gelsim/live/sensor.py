@@ -143,7 +143,7 @@ class LiveSensor:
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
+        self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape).astype(np.float32) * np.float32(MM_PER_M)
         self._slope = np.stack(
             [np.gradient(self._rest, cell, axis=axis) for axis, cell in ((1, self._layer.cell[0]), (0, self._layer.cell[1]))]
         )
@@ -185,9 +185,9 @@ class LiveSensor:
         if before is not None and self._state.pressure.any() and self._friction:
             pieces = max(1, math.ceil(self._travel(before, (turn, shift)) / MOST_TRAVEL_MM))
             ways = [_between(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
-        last = self._room(turn, shift)  # before anything moves: a pose that is refused leaves no trace
+        last = self._seen(turn, shift)  # before anything moves: a pose that is refused leaves no trace
         for way in ways[:-1]:
-            self._move(way, self._room(*way))
+            self._move(way, self._seen(*way))
         self._move((turn, shift), last)
         return self._frame()
 
@@ -239,30 +239,41 @@ class LiveSensor:
         moved = (points - one[1]) @ one[0] @ other[0].T + other[1]
         return float(np.linalg.norm(moved - points, axis=1).max())
 
-    def _room(self, turn: Array, shift: Array) -> tuple[Values, Values]:
-        """Heights of the object over the grid, and over the gel at rest [mm]."""
-        gel, heights = self._scene.gel, self._object.heights(turn, shift, self._layer.x, self._layer.y)
-        room = heights - self._rest.astype(np.float32)
+    def _seen(self, turn: Array, shift: Array) -> tuple[Place, Values, Values]:
+        """Rows and columns over which the object may touch; its heights over them, and over the gel at rest [mm]."""
+        layer, gel = self._layer, self._scene.gel
+        low, high = self._object.below(RISE, turn, shift)
+        rows, columns = (
+            slice(max(0, int(np.searchsorted(way, low[i])) - WINDOW), min(len(way), int(np.searchsorted(way, high[i])) + WINDOW))
+            for i, way in ((1, layer.y), (0, layer.x))
+        )
+        heights = self._object.heights(turn, shift, layer.x[columns], layer.y[rows])
+        room = heights - self._rest[rows, columns]
+        if room.size == 0 or room.min() >= 0:
+            rows, columns = slice(0, layer.shape[0]), slice(0, layer.shape[1])
+            heights = self._object.heights(turn, shift, layer.x, layer.y)
+            room = heights - self._rest
         overlap = -float(room.min())
         if overlap > DEEPEST * gel.thickness_mm:
             raise SceneError(
                 f"pose: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
                 f"{gel.thickness_mm:g} mm, so {DEEPEST * gel.thickness_mm:.2f} mm; press less deep, or use gelsim.press"
             )
-        return heights, room
+        return (rows, columns), heights, room
 
-    def _move(self, pose: tuple[Array, Array], seen: tuple[Values, Values]) -> None:
+    def _move(self, pose: tuple[Array, Array], seen: tuple[Place, Values, Values]) -> None:
         """One increment: pressure, shear and thickness that go with each other at the new pose."""
         layer, gel, state = self._layer, self._scene.gel, self._state
-        (turn, shift), (heights, room) = pose, seen
+        (turn, shift), (region, heights, room) = pose, seen
         lowest = float(room.min())
         if lowest >= 0:
             self.reset()
             self._pose, self._clear = (turn, shift), lowest
             return
-        place = self._place(room < -RISE * lowest)
+        place = self._place(region, room < -RISE * lowest)
         p, q, anchor = state.seen(place)
-        heights, room, rest = heights[place], room[place], self._rest[place]
+        inside = tuple(slice(part.start - whole.start, part.stop - whole.start) for part, whole in zip(place, region, strict=True))
+        heights, room, rest = heights[inside], room[inside], self._rest[place]
         if self._pose is not None and self._friction:
             # Where a point of the object that is now over a place came from.
             x, y = np.meshgrid(layer.x[place[1]], layer.y[place[0]])
@@ -292,19 +303,17 @@ class LiveSensor:
         self._state = State(window, place, p, q, moved, np.where(stuck, anchor, moved[:2]))
         self._pose, self._clear = (turn, shift), 0.0
 
-    def _place(self, near: NDArray[np.bool_]) -> Place:
-        """Rows and columns around some cells: those of before, if they are enough."""
+    def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
+        """Rows and columns around some cells of a region: those of before, if they are enough and not too many."""
         found = []
-        for axis, (now, whole) in enumerate(zip(self._state.place, self._layer.shape, strict=True)):
-            cells = np.flatnonzero(near.any(axis=1 - axis))
+        for axis, (part, now) in enumerate(zip(region, self._state.place, strict=True)):
+            cells = part.start + np.flatnonzero(near.any(axis=1 - axis))
             first, last = int(cells[0]), int(cells[-1]) + 1
-            count = WINDOW * math.ceil((last - first) / WINDOW)
-            if 2 * count >= whole:
-                found.append(slice(0, whole))
-            elif now.start <= first and last <= now.stop and now.stop - now.start <= count + WINDOW:
+            count = min(WINDOW * math.ceil((last - first) / WINDOW), part.stop - part.start)
+            if part.start <= now.start <= first and last <= now.stop <= part.stop and now.stop - now.start <= count + WINDOW:
                 found.append(now)
             else:
-                start = min(max((first + last - count) // 2, 0), whole - count)
+                start = min(max((first + last - count) // 2, part.start), part.stop - count)
                 found.append(slice(start, start + count))
         return found[0], found[1]
 

@@ -57,11 +57,7 @@ class Underside:
         Args:
             turn, shift: The pose, p -> turn p + shift [mm].
         """
-        if self._turn is None or (turn[2] @ self._turn[2]) < np.cos(np.radians(TILT_DEG)):
-            self._trace(turn)
-        assert self._turn is not None
-        # From the map's frame to the gel's; the remaining turn is one about z and a small tilt.
-        rest = turn @ self._turn.T
+        rest = self._remaining(turn)
         across = np.stack(np.meshgrid(x - shift[0], y - shift[1]))
         level = rest[:2, :2]
         back = np.linalg.inv(level)
@@ -77,6 +73,32 @@ class Underside:
         z = self._read(at)
         turned = rest[2, 0] * at[0] + rest[2, 1] * at[1] + rest[2, 2] * z + shift[2]
         return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32)
+
+    def below(self, share: float, turn: Array, shift: Array) -> Array:
+        """A rectangle [mm], ((least x, y), (greatest x, y)), beside which the underside is higher than `share` of its depth below z = 0.
+
+        Args:
+            share: 0 for what is below z = 0; 0.5 for what is below half of the depth above it.
+        """
+        rest = self._remaining(turn)
+        lean = float(np.abs(rest[2, :2]) @ np.abs(self._reach).max(axis=0))
+        highest = share * max(lean - rest[2, 2] * self._lowest - shift[2], 0.0)
+        level = (highest - shift[2] + lean) / rest[2, 2]
+        found = []
+        for axis, lows in enumerate(self._lows):
+            near = np.flatnonzero(lows <= level)
+            if len(near) == 0:
+                return np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
+            found.append(self._first[axis] + MAP_MM * np.array([near[0] - 1, near[-1] + 1]))
+        corners = np.stack(np.meshgrid(*found, [self._lowest, level]), axis=-1).reshape(-1, 3) @ rest[:2].T + shift[:2]
+        return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+    def _remaining(self, turn: Array) -> Array:
+        """From the frame of a map that serves a turn to the gel's: a turn about z and a small tilt."""
+        if self._turn is None or (turn[2] @ self._turn[2]) < np.cos(np.radians(TILT_DEG)):
+            self._trace(turn)
+        assert self._turn is not None
+        return turn @ self._turn.T
 
     def _read(self, at: Array) -> Array:
         """Heights of the map at places (2, rows, columns) of its frame; bilinear, and FAR_MM next to what is not there."""
@@ -112,3 +134,5 @@ class Underside:
         z[z >= top] = FAR_MM
         self._map, self._top = z.reshape(len(y), len(x)), top
         self._turn, self._first = turn.copy(), (x[0], y[0])
+        self._reach = np.array([[x[0], y[0]], [x[-1], y[-1]]])
+        self._lows, self._lowest = (self._map.min(axis=0), self._map.min(axis=1)), float(self._map.min())
