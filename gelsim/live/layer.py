@@ -19,6 +19,7 @@ the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single pr
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -42,6 +43,8 @@ SETTLED = 2e-3
 """Relative change of the pressure, and of the thickness, at which the rounds end."""
 NODES = 0.01
 """Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
+PUNCH_TOLERANCE = 0.05
+"""Of the motion of a flat punch, RMS over its cells."""
 STEPS = 200
 """Of a gradient method, at most."""
 _WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 300.0, 3000)])
@@ -288,3 +291,24 @@ def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
         q, slip = q + part * way, slip + part * answer
         step = np.float32(steep / float(np.vdot(answer, answer)))
     return q
+
+
+def punch(answer: Callable[[Values], Values], cells: NDArray[np.bool_]) -> Values:
+    """Traction on some cells [kPa/mm] that moves all of them alike, by conjugate gradients; 0 on the others.
+
+    Args:
+        answer: Motion of the cells [mm] by tractions [kPa].
+    """
+    traction = np.zeros(cells.shape, np.float32)
+    left = cells.astype(np.float32)
+    way, size = left, float(np.vdot(left, left))
+    allowed = PUNCH_TOLERANCE**2 * size
+    for _ in range(STEPS):
+        if size <= allowed:
+            break
+        moved = answer(way) * cells
+        step = np.float32(size / float(np.vdot(way, moved)))
+        traction, left = traction + step * way, left - step * moved
+        before, size = size, float(np.vdot(left, left))
+        way = left + np.float32(size / before) * way
+    return traction

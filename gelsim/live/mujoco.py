@@ -125,16 +125,20 @@ class Pad:
         """Of the object in the gel's frame, as the sensor takes it: x, y, z [m], at most FAR, quaternion w, x, y, z; (7,)."""
         gel, at = data.site_xmat[self.site].reshape(3, 3), data.site_xpos[self.site]
         turn = data.xmat[self.object].reshape(3, 3)
-        place = gel.T @ (data.xpos[self.object] + turn @ self._origin - at)
-        return np.concatenate([np.clip(place, -FAR, FAR), np.roll(Rotation.from_matrix(gel.T @ turn).as_quat(), 1)])
+        pose = np.empty(7)
+        pose[:3] = np.clip(gel.T @ (data.xpos[self.object] + turn @ self._origin - at), -FAR, FAR)
+        mujoco.mju_mat2Quat(pose[3:], (gel.T @ turn).ravel())
+        return pose
 
     def levers(self, data: mujoco.MjData) -> Pair:
         """Of gel and object: the body, and the matrix (6, 6) from a wrench on the gel, in its frame, to the body's `xfrc_applied`."""
         at, turn = data.site_xpos[self.site], data.site_xmat[self.site].reshape(3, 3)
         found = []
         for body, sign in ((self.body, 1.0), (self.object, -1.0)):
-            lever = np.kron(np.eye(2), turn)
-            lever[3:, :3] = np.cross(at - data.xipos[body], turn, axisb=0, axisc=0)
+            x, y, z = at - data.xipos[body]
+            lever = np.zeros((6, 6))
+            lever[:3, :3] = lever[3:, 3:] = turn
+            lever[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
             found.append((body, sign * lever))
         return found[0], found[1]
 

@@ -22,7 +22,7 @@ from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Layer, Values, Window
-from gelsim.live.patch import ABOVE_LEAST, Patch
+from gelsim.live.patch import Patch
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import Grid
 from gelsim.optics.camera import marker_pixels
@@ -208,22 +208,17 @@ class LiveSensor:
         layer, state = self._layer, self._state
         touching = state.pressure > 0
         cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
-        p = state.pressure * np.float32(cell)
-        total = float(p.sum(dtype=float))
-        stiff = [0.0, 0.0]
-        if total:
-            along = np.stack([p, np.zeros_like(p)])
-            works = (float(np.sum(p * answer, dtype=float)) for answer in (state.window.sunk(p), state.window.dragged(along)[0]))
-            # (Σp)² / p·Ap: the answer to p in N as if it were kPa is in mm / (cell in N per kPa).
-            stiff = [ABOVE_LEAST * total**2 * cell / (work * MM) for work in works]
+        per_metre = cell / MM  # kPa/mm to N/m
+        window = state.window
+        normal = gel_layer.punch(window.sunk, touching)
+        shear = gel_layer.punch(lambda q: window.dragged(np.stack([q, np.zeros_like(q)]))[0], touching) if self._friction else 0 * normal
         return Patch(
             self._touching(touching) * MM,
-            p[touching].astype(float),
+            (state.pressure[touching] * cell).astype(float),
             (state.shear[:, touching].T * cell).astype(float),
             self._slope[:, *state.place][:, touching].T.astype(float),
             self._friction,
-            stiff[0],
-            stiff[1] if self._friction else 0.0,
+            np.column_stack([normal[touching], shear[touching]]).astype(float) * per_metre,
         )
 
     def _touching(self, cells: NDArray[np.bool_]) -> Array:
@@ -242,18 +237,14 @@ class LiveSensor:
     def _seen(self, turn: Array, shift: Array) -> tuple[Place, Values, Values]:
         """Rows and columns over which the object may touch; its heights over them, and over the gel at rest [mm]."""
         layer, gel = self._layer, self._scene.gel
-        low, high = self._object.below(RISE, turn, shift)
+        low, high = self._object.low(RISE, turn, shift)
         rows, columns = (
-            slice(max(0, int(np.searchsorted(way, low[i])) - WINDOW), min(len(way), int(np.searchsorted(way, high[i])) + WINDOW))
+            slice(max(0, int(np.searchsorted(way, low[i])) - WINDOW // 2), min(len(way), int(np.searchsorted(way, high[i])) + WINDOW // 2))
             for i, way in ((1, layer.y), (0, layer.x))
         )
         heights = self._object.heights(turn, shift, layer.x[columns], layer.y[rows])
         room = heights - self._rest[rows, columns]
-        if room.size == 0 or room.min() >= 0:
-            rows, columns = slice(0, layer.shape[0]), slice(0, layer.shape[1])
-            heights = self._object.heights(turn, shift, layer.x, layer.y)
-            room = heights - self._rest
-        overlap = -float(room.min())
+        overlap = -float(room.min(initial=math.inf))
         if overlap > DEEPEST * gel.thickness_mm:
             raise SceneError(
                 f"pose: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
@@ -265,7 +256,7 @@ class LiveSensor:
         """One increment: pressure, shear and thickness that go with each other at the new pose."""
         layer, gel, state = self._layer, self._scene.gel, self._state
         (turn, shift), (region, heights, room) = pose, seen
-        lowest = float(room.min())
+        lowest = float(room.min(initial=math.inf))
         if lowest >= 0:
             self.reset()
             self._pose, self._clear = (turn, shift), lowest
@@ -277,11 +268,10 @@ class LiveSensor:
         if self._pose is not None and self._friction:
             # Where a point of the object that is now over a place came from.
             x, y = np.meshgrid(layer.x[place[1]], layer.y[place[0]])
-            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)])
-            back = self._pose[0] @ turn.T
-            was = np.einsum("ij,jyx->iyx", back, here - shift[:, None, None]) + self._pose[1][:, None, None]
+            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)]).reshape(3, -1) - shift[:, None]
+            drift = here[:2] - (self._pose[0] @ turn.T)[:2] @ here + (shift - self._pose[1])[:2, None]
             # Of a way that began in the air, the part from first touch on.
-            anchor = anchor + (here - was)[:2].astype(np.float32) * np.float32(lowest / (lowest - self._clear))
+            anchor = anchor + drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
         window = layer.window(p.shape, state.window.thickness)
         for _ in range(gel_layer.ROUNDS):
             before = p
@@ -399,7 +389,13 @@ def _pose(pose: ArrayLike) -> tuple[Array, Array]:
         raise SceneError(f"pose: its quaternion has the length {length:.4g}; allowed is 1 (w, x, y, z; no turn is 1, 0, 0, 0)")
     if np.abs(values[:3]).max() > 1.0:
         raise SceneError(f"pose: {values[:3].tolist()} m is over 1 m away; allowed are metres in the gel's frame, such as 0, 0, -0.0005")
-    return Rotation.from_quat(np.roll(values[3:], -1)).as_matrix(), values[:3] * MM_PER_M
+    w, x, y, z = values[3:] / length
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(turn), values[:3] * MM_PER_M
 
 
 def _between(one: tuple[Array, Array], other: tuple[Array, Array], part: float) -> tuple[Array, Array]:

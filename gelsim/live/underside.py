@@ -10,9 +10,10 @@ Left out: what lies more than REACH_MM above the object's lowest point, and unde
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from gelsim.fem.field import MARGIN_MM, kept_field, spacing
 from gelsim.scene.definition import Body
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 MAP_MM = 0.1
 """Between the map's places: half a cell of the gel."""
 TILT_DEG = 1.0
+LEVEL = math.cos(math.radians(TILT_DEG))
 REACH_MM = 6.0
 """Above the lowest point; a gel is thinner."""
 FAR_MM = 1e3
@@ -32,7 +34,9 @@ FAR_MM = 1e3
 MOST_SAMPLES = 8e6
 """Of the distance; a larger object is sampled more coarsely."""
 CORRECTIONS = 4
-"""Of a tilted map: each gains a factor of the slope times the tilt."""
+"""Of a tilted map, at most: each gains a factor of the slope times the tilt."""
+CLOSE_MM = 1e-4
+"""Motion of places by one more correction at which they end."""
 
 
 class Underside:
@@ -58,52 +62,62 @@ class Underside:
             turn, shift: The pose, p -> turn p + shift [mm].
         """
         rest = self._remaining(turn)
-        across = np.stack(np.meshgrid(x - shift[0], y - shift[1]))
-        level = rest[:2, :2]
-        back = np.linalg.inv(level)
-        at = np.einsum("ij,jyx->iyx", back, across)
-        tilted = np.abs(rest[2, :2]).max() > 1e-9
-        if not tilted:
-            return (self._read(at) + shift[2]).astype(np.float32)
-        for _ in range(CORRECTIONS):
-            z = self._read(at)
-            known = z < FAR_MM / 2
-            lean = np.where(known, z, 0.0) * rest[:2, 2][:, None, None]
-            at = np.einsum("ij,jyx->iyx", back, across - lean)
-        z = self._read(at)
-        turned = rest[2, 0] * at[0] + rest[2, 1] * at[1] + rest[2, 2] * z + shift[2]
+        across, along = np.meshgrid(x - shift[0], y - shift[1])
+        back = np.linalg.inv(rest[:2, :2])
+
+        def look(z: Array | float) -> tuple[Array, Array, Array]:
+            """Places of the map that a height there puts over the places asked for, and the height that they have."""
+            one, other = across - rest[0, 2] * z, along - rest[1, 2] * z
+            one, other = back[0, 0] * one + back[0, 1] * other, back[1, 0] * one + back[1, 1] * other
+            return one, other, self._read(one, other)
+
+        one, other, z = look(0.0)
+        if np.abs(rest[2, :2]).max() > 1e-9:
+            for _ in range(CORRECTIONS):
+                last = np.where(z < FAR_MM / 2, z, 0.0)
+                one, other, z = look(last)
+                if np.abs(z - last).max() * (1.0 - rest[2, 2] ** 2) ** 0.5 < CLOSE_MM:
+                    break
+        turned = rest[2, 0] * one + rest[2, 1] * other + rest[2, 2] * z + shift[2]
         return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32)
 
-    def below(self, share: float, turn: Array, shift: Array) -> Array:
-        """A rectangle [mm], ((least x, y), (greatest x, y)), beside which the underside is higher than `share` of its depth below z = 0.
+    def low(self, share: float, turn: Array, shift: Array) -> tuple[Array, Array]:
+        """A rectangle, least and greatest (x, y) [mm], beside which the underside is higher than `share` of its depth below z = 0.
 
-        Args:
-            share: 0 for what is below z = 0; 0.5 for what is below half of the depth above it.
+        Of an object above z = 0, which has no depth, the rectangle holds its lowest point.
         """
         rest = self._remaining(turn)
-        lean = float(np.abs(rest[2, :2]) @ np.abs(self._reach).max(axis=0))
-        highest = share * max(lean - rest[2, 2] * self._lowest - shift[2], 0.0)
+        lean = float(np.abs(rest[2, :2]) @ self._reach)
+        lowest = rest[2, 2] * self._lowest + shift[2] - lean
+        highest = -share * lowest if lowest < 0 else lowest + 2 * lean
         level = (highest - shift[2] + lean) / rest[2, 2]
-        found = []
-        for axis, lows in enumerate(self._lows):
-            near = np.flatnonzero(lows <= level)
-            if len(near) == 0:
-                return np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
-            found.append(self._first[axis] + MAP_MM * np.array([near[0] - 1, near[-1] + 1]))
-        corners = np.stack(np.meshgrid(*found, [self._lowest, level]), axis=-1).reshape(-1, 3) @ rest[:2].T + shift[:2]
-        return np.stack([corners.min(axis=0), corners.max(axis=0)])
+        bounds = [(self._lowest, level)]
+        for first, lows in zip(self._first[::-1], self._lows, strict=True):
+            near = np.flatnonzero(lows <= level + MAP_MM)
+            bounds.insert(0, (first + MAP_MM * (near[0] - 1), first + MAP_MM * (near[-1] + 1)))
+        ends = np.array(bounds)
+        middle = rest[:2] @ ends.mean(axis=1) + shift[:2]
+        half = np.abs(rest[:2]) @ (ends[:, 1] - ends[:, 0]) / 2
+        return middle - half, middle + half
 
     def _remaining(self, turn: Array) -> Array:
         """From the frame of a map that serves a turn to the gel's: a turn about z and a small tilt."""
-        if self._turn is None or (turn[2] @ self._turn[2]) < np.cos(np.radians(TILT_DEG)):
+        if self._turn is None or turn[2] @ self._turn[2] < LEVEL:
             self._trace(turn)
         assert self._turn is not None
         return turn @ self._turn.T
 
-    def _read(self, at: Array) -> Array:
-        """Heights of the map at places (2, rows, columns) of its frame; bilinear, and FAR_MM next to what is not there."""
-        place = [(at[1] - self._first[1]) / MAP_MM, (at[0] - self._first[0]) / MAP_MM]
-        found = map_coordinates(self._map, place, order=1, mode="constant", cval=FAR_MM)
+    def _read(self, x: Array, y: Array) -> Array:
+        """Heights of the map at places of its frame; bilinear, and FAR_MM next to what is not there."""
+        rows, columns = self._map.shape
+        across = np.clip((x - self._first[0]) / MAP_MM, 0.0, columns - 1.001)
+        along = np.clip((y - self._first[1]) / MAP_MM, 0.0, rows - 1.001)
+        column, row = across.astype(np.intp), along.astype(np.intp)
+        right, down = across - column, along - row
+        corner = row * columns + column
+        z = self._map.ravel()
+        upper, lower = (z[corner + i] + right * (z[corner + i + 1] - z[corner + i]) for i in (0, columns))
+        found = upper + down * (lower - upper)
         return np.where(found > self._top, FAR_MM, found)
 
     def _trace(self, turn: Array) -> None:
@@ -132,7 +146,8 @@ class Underside:
             slope = np.minimum((above - here) / 1e-3, -0.1)
             z[hit] -= np.clip(here / slope, -0.1, 0.1)
         z[z >= top] = FAR_MM
-        self._map, self._top = z.reshape(len(y), len(x)), top
-        self._turn, self._first = turn.copy(), (x[0], y[0])
-        self._reach = np.array([[x[0], y[0]], [x[-1], y[-1]]])
-        self._lows, self._lowest = (self._map.min(axis=0), self._map.min(axis=1)), float(self._map.min())
+        # Its border stands for all beyond.
+        self._map, self._top = np.pad(z.reshape(len(y), len(x)), 1, constant_values=FAR_MM), top
+        self._turn, self._first = turn.copy(), (x[0] - MAP_MM, y[0] - MAP_MM)
+        self._reach = np.abs([x[[0, -1]], y[[0, -1]]]).max(axis=1)
+        self._lows, self._lowest = (self._map.min(axis=1), self._map.min(axis=0)), float(self._map.min())
