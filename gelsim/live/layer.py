@@ -96,7 +96,7 @@ class Layer:
             cell * np.arange(0.5 - count / 2, count / 2, dtype=np.float64) for count, cell in zip(counts, self.cell, strict=True)
         )
         """Of the cells' middles [mm]."""
-        self._nodes: dict[tuple[int, int, int], Values] = {}
+        self._nodes: dict[tuple[int, ...], Values] = {}
 
     def window(self, shape: tuple[int, int], thickness: float) -> Window:
         """What tractions on so many rows and columns, wherever they lie, do there, of a layer of some thickness [mm].
@@ -117,6 +117,23 @@ class Layer:
         """
         if (rows, columns, node) in self._nodes:
             return self._nodes[rows, columns, node]
+        space = self._space(node)
+        if (rows, columns) != self.shape:  # as far as the window reaches
+            for axis, (count, whole) in enumerate(zip((rows, columns), self.shape, strict=True), start=1):
+                if count < whole:
+                    space = np.moveaxis(space, axis, 0)
+                    cut = np.zeros((count, *space.shape[1:]), np.float32)
+                    reach = np.arange(1 - count // 2, count // 2)
+                    cut[reach] = space[reach]
+                    space = np.moveaxis(cut, 0, axis)
+        found = fft.rfft2(space)
+        answers = np.concatenate([found[:4].real, found[4:].imag])  # type: ignore[index]
+        return self._nodes.setdefault((rows, columns, node), answers)
+
+    def _space(self, node: int) -> Values:
+        """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
+        if (node,) in self._nodes:
+            return self._nodes[(node,)]
         shear, nu, thickness = self.material.shear_kpa, self.material.poissons_ratio, (1 + NODES) ** node
         kx = 2 * np.pi * fft.rfftfreq(self.shape[1], self.cell[0])[None, :]
         ky = 2 * np.pi * fft.fftfreq(self.shape[0], self.cell[1])[:, None]
@@ -128,23 +145,10 @@ class Layer:
         cx, cy = (np.divide(way, k, out=np.zeros_like(k), where=k > 0) for way in (kx, ky))
         # A wave of two cells has no direction to and fro.
         odd = (np.arange(k.shape[1])[None, :] != self.shape[1] // 2) & (np.arange(k.shape[0])[:, None] != self.shape[0] // 2)
-        even = np.stack([normal, along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd])
-        even[1:3, 0, 0] = thickness / shear
-        turned = np.stack([mixed * cx * odd, mixed * cy * odd])
-        if (rows, columns) != self.shape:  # the answer to one cell, as far as the window reaches
-            space = fft.irfft2(np.concatenate([even, 1j * turned]), self.shape)
-            for axis, (count, whole) in enumerate(zip((rows, columns), self.shape, strict=True), start=1):
-                if count < whole:
-                    reach = np.arange(1 - count // 2, count // 2)
-                    cut = np.zeros((6, *(count if i == axis else space.shape[i] for i in (1, 2))))
-                    at = [slice(None)] * 3
-                    at[axis] = reach  # type: ignore[call-overload]
-                    cut[tuple(at)] = np.take(space, reach, axis=axis)
-                    space = cut
-            found = fft.rfft2(space)
-            even, turned = found[:4].real, found[4:].imag
-        self._nodes[rows, columns, node] = np.concatenate([even, turned]).astype(np.float32)
-        return self._nodes[rows, columns, node]
+        xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
+        xx[0, 0] = yy[0, 0] = thickness / shear
+        answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
+        return self._nodes.setdefault((node,), fft.irfft2(answers.astype(np.complex64), self.shape))  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=64)
@@ -197,6 +201,10 @@ class Window:
     def sunk(self, pressure: Values) -> Values:
         """How deep a pressure alone presses the face [mm]."""
         return self._back(self.answers[0] * self._there(pressure))
+
+    def drawn(self, shear: Values) -> Values:
+        """How far tangential tractions along x alone move the face along x [mm]."""
+        return self._back(self.answers[1] * self._there(shear))
 
     def dragged(self, shear: Values) -> Values:
         """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""

@@ -12,6 +12,7 @@ Left out: cells that come to touch, how cells pull on each other, and the turn o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,22 +37,30 @@ class Patch:
     springs: Array
     """Stiffness along the normal and along the face [N/m], shape (M, 2)."""
 
+    @cached_property
     def stiffness(self) -> Array:
         """What a motion of the object adds to the wrench on the gel, bounds aside: (6, 6) [N/m, N, N m]."""
         moved = np.stack([self._moved(unit) for unit in np.eye(6)], axis=-1)  # (M, 3, 6)
-        return np.einsum("mki,mkj->ij", moved * self.springs[:, [1, 1, 0], None], moved, optimize=True)
+        return (self.springs[:, [1, 1, 0], None] * moved).reshape(-1, 6).T @ moved.reshape(-1, 6)
 
     def wrench(self, motion: Array) -> Array:
         """Force [N] and torque [N m] on the gel after a small motion of the object in the gel's frame [m, rad], (6,) for (6,)."""
+        force = self._forces(motion)
+        return np.concatenate([force.sum(axis=0), torque(self.points, force)])
+
+    def changed(self, motion: Array) -> float:
+        """By how much a motion changes the forces of the cells, over the normal force."""
+        change = self._forces(motion) - self._forces(np.zeros(6))
+        return float(np.sqrt((change**2).sum(axis=1)).sum() / self.pressure.sum())
+
+    def _forces(self, motion: Array) -> Array:
+        """On the cells [N], (M, 3)."""
         pushed = self.springs[:, [1, 1, 0]] * self._moved(motion)
         pressure = np.maximum(self.pressure + pushed[:, 2], 0.0)
         shear = self.shear + pushed[:, :2]
         size = np.sqrt(shear[:, 0] ** 2 + shear[:, 1] ** 2)
         shear *= np.minimum(1.0, self.friction * pressure / np.maximum(size, 1e-30))[:, None]
-        force = np.column_stack([shear + pressure[:, None] * self.slope, -pressure])
-        # Σ r × f, from Σ r fᵀ
-        arms = self.points.T @ force
-        return np.array([*force.sum(axis=0), arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]])
+        return np.column_stack([shear + pressure[:, None] * self.slope, -pressure])
 
     def _moved(self, motion: Array) -> Array:
         """How far a motion takes each spring: along x and y, and along the normal, into the gel, (M, 3)."""
@@ -59,3 +68,9 @@ class Patch:
         x, y, z = self.points.T
         along, across = u + b * z - c * y, v + c * x - a * z  # of the object's point at each cell: v + ω × r
         return np.column_stack([along, across, self.slope[:, 0] * along + self.slope[:, 1] * across - (w + a * y - b * x)])
+
+
+def torque(points: Array, forces: Array) -> Array:
+    """Σ r × f about the origin, (3,)."""
+    arms = points.T @ forces
+    return np.array([arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]])

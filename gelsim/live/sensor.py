@@ -22,7 +22,7 @@ from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Layer, Values, Window
-from gelsim.live.patch import Patch
+from gelsim.live.patch import Patch, torque
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import Grid
 from gelsim.optics.camera import marker_pixels
@@ -88,11 +88,21 @@ class State:
     """[kPa], as all here over the window's rows and columns."""
     shear: Values
     """(2, rows, columns) [kPa]."""
+    rest: Values
+    """Height of the gel at rest [mm]."""
     moved: Values
     """Displacement (3, rows, columns) [mm] of what is now over a place."""
     anchor: Values
     """Motion along the face at which nothing slips, (2, rows, columns) [mm]. Where it sticks it is not taken from the solution, whose
     rounding would add up."""
+
+    @cached_property
+    def points(self) -> Array:
+        """Middles of the cells that touch, on the deformed surface [mm], (M, 3)."""
+        rows, columns = self.place
+        row, column = np.nonzero(self.pressure)
+        x, y = self.window.layer.x[columns], self.window.layer.y[rows]
+        return np.column_stack([x[column], y[row], (self.rest + self.moved[2])[row, column]])
 
     @cached_property
     def field(self) -> Values:
@@ -161,7 +171,7 @@ class LiveSensor:
         """Forgets the object: the gel is at rest and remembers no slip."""
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
-        self._state = State(window, (slice(0, 0), slice(0, 0)), nothing[0], nothing[:2], nothing, nothing[:2])
+        self._state = State(window, (slice(0, 0), slice(0, 0)), nothing[0], nothing[:2], nothing[0], nothing, nothing[:2])
         self._pose: tuple[Array, Array] | None = None
         self._clear = 0.0
 
@@ -211,9 +221,9 @@ class LiveSensor:
         per_metre = cell / MM  # kPa/mm to N/m
         window = state.window
         normal = gel_layer.punch(window.sunk, touching)
-        shear = gel_layer.punch(lambda q: window.dragged(np.stack([q, np.zeros_like(q)]))[0], touching) if self._friction else 0 * normal
+        shear = gel_layer.punch(window.drawn, touching) if self._friction else 0 * normal
         return Patch(
-            self._touching(touching) * MM,
+            state.points * MM,
             (state.pressure[touching] * cell).astype(float),
             (state.shear[:, touching].T * cell).astype(float),
             self._slope[:, *state.place][:, touching].T.astype(float),
@@ -221,16 +231,9 @@ class LiveSensor:
             np.column_stack([normal[touching], shear[touching]]).astype(float) * per_metre,
         )
 
-    def _touching(self, cells: NDArray[np.bool_]) -> Array:
-        """Where some of the window's cells are on the deformed surface [mm], (M, 3)."""
-        rows, columns = self._state.place
-        row, column = np.nonzero(cells)
-        deep = self._rest[self._state.place] + self._state.moved[2]
-        return np.column_stack([self._layer.x[columns][column], self._layer.y[rows][row], deep[cells]])
-
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
         """The farthest that a point in contact goes along the gel [mm]."""
-        points = self._touching(self._state.pressure > 0)
+        points = self._state.points
         moved = (points - one[1]) @ one[0] @ other[0].T + other[1]
         return float(np.linalg.norm(moved - points, axis=1).max())
 
@@ -290,7 +293,7 @@ class LiveSensor:
                 q = gel_layer.shear(window, window.spread(p) - anchor, np.float32(self._friction) * p, q)
         moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK * self._friction) * p) ** 2
-        self._state = State(window, place, p, q, moved, np.where(stuck, anchor, moved[:2]))
+        self._state = State(window, place, p, q, rest, moved, np.where(stuck, anchor, moved[:2]))
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
@@ -318,7 +321,7 @@ class LiveSensor:
         return LiveFrame(
             self.image() if self._draws else None,
             traction.sum(axis=0),
-            np.cross(self._touching(touching) * MM, traction).sum(axis=0),
+            torque(state.points * MM, traction),
             state.over(touching, layer.shape),
             self,
             state,
