@@ -22,6 +22,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,44 +97,43 @@ class Layer:
             cell * np.arange(0.5 - count / 2, count / 2, dtype=np.float64) for count, cell in zip(counts, self.cell, strict=True)
         )
         """Of the cells' middles [mm]."""
-        self._nodes: dict[tuple[int, ...], Values] = {}
+        self._nodes: dict[tuple[tuple[int, int], int], Values] = {}
+        self._spaces: dict[int, Values] = {}
 
     def window(self, shape: tuple[int, int], thickness: float) -> Window:
         """What tractions on so many rows and columns, wherever they lie, do there, of a layer of some thickness [mm].
 
         Not an approximation: no traction is outside, and twice as many cells keep the window's images apart.
         """
-        padded = tuple(min(2 * count, whole) for count, whole in zip(shape, self.shape, strict=True))
+        padded = min(2 * shape[0], self.shape[0]), min(2 * shape[1], self.shape[1])
         place = math.log(thickness) / math.log1p(NODES)
         node = math.floor(place)
-        share = np.float32(place - node)
-        answers = (1 - share) * self._node(*padded, node) + share * self._node(*padded, node + 1)
+        share: Any = np.float32(place - node)
+        answers = (1 - share) * self._node(padded, node) + share * self._node(padded, node + 1)
         return Window(self, shape, padded, thickness, answers)
 
-    def _node(self, rows: int, columns: int, node: int) -> Values:
-        """The answers over the waves of a grid of `rows` and `columns`, of the thickness (1 + NODES)^node, (6, rows, columns / 2 + 1).
+    def _node(self, shape: tuple[int, int], node: int) -> Values:
+        """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (6, rows, columns / 2 + 1).
 
         Of u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and over i of u_x and u_y by p.
         """
-        if (rows, columns, node) in self._nodes:
-            return self._nodes[rows, columns, node]
+        if (shape, node) in self._nodes:
+            return self._nodes[shape, node]
         space = self._space(node)
-        if (rows, columns) != self.shape:  # as far as the window reaches
-            for axis, (count, whole) in enumerate(zip((rows, columns), self.shape, strict=True), start=1):
-                if count < whole:
-                    space = np.moveaxis(space, axis, 0)
-                    cut = np.zeros((count, *space.shape[1:]), np.float32)
-                    reach = np.arange(1 - count // 2, count // 2)
-                    cut[reach] = space[reach]
-                    space = np.moveaxis(cut, 0, axis)
-        found = fft.rfft2(space)
-        answers = np.concatenate([found[:4].real, found[4:].imag])  # type: ignore[index]
-        return self._nodes.setdefault((rows, columns, node), answers)
+        for axis, (count, whole) in enumerate(zip(shape, self.shape, strict=True), start=1):
+            if count < whole:  # as far as the window reaches
+                space = np.moveaxis(space, axis, 0)
+                cut = np.zeros((count, *space.shape[1:]), np.float32)
+                reach = np.arange(1 - count // 2, count // 2)
+                cut[reach] = space[reach]
+                space = np.moveaxis(cut, 0, axis)
+        found: Any = fft.rfft2(space)
+        return self._nodes.setdefault((shape, node), np.concatenate([found[:4].real, found[4:].imag]))
 
     def _space(self, node: int) -> Values:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
-        if (node,) in self._nodes:
-            return self._nodes[(node,)]
+        if node in self._spaces:
+            return self._spaces[node]
         shear, nu, thickness = self.material.shear_kpa, self.material.poissons_ratio, (1 + NODES) ** node
         kx = 2 * np.pi * fft.rfftfreq(self.shape[1], self.cell[0])[None, :]
         ky = 2 * np.pi * fft.fftfreq(self.shape[0], self.cell[1])[:, None]
@@ -148,7 +148,8 @@ class Layer:
         xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
         xx[0, 0] = yy[0, 0] = thickness / shear
         answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
-        return self._nodes.setdefault((node,), fft.irfft2(answers.astype(np.complex64), self.shape))  # type: ignore[arg-type]
+        moved: Any = fft.irfft2(answers.astype(np.complex64), self.shape)
+        return self._spaces.setdefault(node, moved)
 
 
 @lru_cache(maxsize=64)
@@ -172,7 +173,7 @@ class Window:
 
     layer: Layer
     shape: tuple[int, int]
-    padded: tuple[int, ...]
+    padded: tuple[int, int]
     thickness: float
     answers: Values
 
@@ -282,11 +283,11 @@ def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
         length = np.sqrt(q[0] ** 2 + q[1] ** 2)
         return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
 
-    softest = np.float32(layer.layer.material.shear_kpa / layer.thickness)
+    softest: Any = np.float32(layer.layer.material.shear_kpa / layer.thickness)
     allowed = SLIP_TOLERANCE * min(float(softest) * float(np.linalg.norm(away * touching)), float(np.linalg.norm(bound)))
     q = projected(start)
-    slip = (away + layer.dragged(q)) * touching
-    step = softest
+    slip: Values = (away + layer.dragged(q)) * touching
+    step: Any = softest
     for _ in range(STEPS):
         if float(np.linalg.norm(projected(q - softest * slip) - q)) <= allowed:
             break
@@ -295,7 +296,7 @@ def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # no more than rounding is left
             break
-        part = np.float32(min(1.0, -float(np.vdot(slip, way)) / steep))
+        part: Any = np.float32(min(1.0, -float(np.vdot(slip, way)) / steep))
         q, slip = q + part * way, slip + part * answer
         step = np.float32(steep / float(np.vdot(answer, answer)))
     return q
@@ -315,8 +316,9 @@ def punch(answer: Callable[[Values], Values], cells: NDArray[np.bool_]) -> Value
         if size <= allowed:
             break
         moved = answer(way) * cells
-        step = np.float32(size / float(np.vdot(way, moved)))
+        step: Any = np.float32(size / float(np.vdot(way, moved)))
         traction, left = traction + step * way, left - step * moved
         before, size = size, float(np.vdot(left, left))
-        way = left + np.float32(size / before) * way
+        turn: Any = np.float32(size / before)
+        way = left + turn * way
     return traction

@@ -246,7 +246,7 @@ class LiveSensor:
             for i, way in ((1, layer.y), (0, layer.x))
         )
         heights = self._object.heights(turn, shift, layer.x[columns], layer.y[rows])
-        room = heights - self._rest[rows, columns]
+        room = (heights - self._rest[rows, columns]).astype(np.float32, copy=False)
         overlap = -float(room.min(initial=math.inf))
         if overlap > DEEPEST * gel.thickness_mm:
             raise SceneError(

@@ -127,7 +127,7 @@ def test_a_window_answers_as_the_whole_layer(shape: tuple[int, int], monkeypatch
     padded = gel_layer._waves_of
     monkeypatch.setattr(gel_layer, "_waves_of", lambda count, whole: padded(count, whole - 8))  # planted: its images are too near
     if shape != (70, 100):
-        monkeypatch.setattr(Layer, "_node", lambda self, rows, columns, node, held=Layer._node: held(self, rows - 8, columns - 8, node))
+        monkeypatch.setattr(Layer, "_node", lambda self, shape, node, held=Layer._node: held(self, (shape[0] - 8, shape[1] - 8), node))
         assert apart() > 1e-5
 
 
@@ -135,7 +135,7 @@ def test_answers_between_two_thicknesses() -> None:
     """Of one, as of a node that lies there: the softest wave's answer goes as h³, so 1 % apart by (0.01)² 9 / 8 = 1.1e-4 at most."""
     grid = Layer((25.0, 20.0), GEL)
     between = grid.window(grid.shape, (1 + gel_layer.NODES) ** 88.5).answers
-    known = Layer((25.0, 20.0), GEL)._node(*grid.shape, 88), Layer((25.0, 20.0), GEL)._node(*grid.shape, 89)
+    known = Layer((25.0, 20.0), GEL)._node(grid.shape, 88), Layer((25.0, 20.0), GEL)._node(grid.shape, 89)
     for answer, low, high in zip(between, *known, strict=True):
         geometric = np.sign(low) * np.sqrt(np.maximum(low * high, 0.0))  # exact for any power of h
         assert np.abs(answer - geometric).max() < 1.2e-4 * np.abs(low).max()

@@ -43,7 +43,7 @@ def test_a_motion_of_nothing_gives_the_frames_wrench(profile: str) -> None:
 
 @pytest.mark.parametrize(("radius", "depth"), [(3.0, 0.1), (3.0, 1.2), (8.0, 0.3), (8.0, 1.2)])
 def test_stiffness_is_over_half_of_the_true_one(radius: float, depth: float) -> None:
-    """Under half of it a linearly implicit step can grow; 0.7 to 1.25 was measured: less where the layer thins, more where the rim slips."""
+    """Under half of it a linearly implicit step can grow; 0.7 to 1.25 was found: less where the layer thins, more where the rim slips."""
     found, move = sensor(0.5, radius), 0.01  # [mm]
     start = (0, 0, -depth * 1e-3, *UPRIGHT)
     before = found.step(start, 0.01).force
