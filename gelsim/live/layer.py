@@ -167,6 +167,10 @@ def _waves_of(count: int, padded: int) -> tuple[NDArray, NDArray, NDArray, NDArr
     return turn, np.ascontiguousarray(half.T).view(np.float32), np.ascontiguousarray(turn.conj().T) / np.float32(padded), real_back
 
 
+shared = lru_cache(maxsize=8)(Layer)
+"""The layer of a size and a material, whose tables all sensors with such a gel use."""
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
     """Some rows and columns of a layer's grid."""

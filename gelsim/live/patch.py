@@ -40,34 +40,41 @@ class Patch:
     @cached_property
     def stiffness(self) -> Array:
         """What a motion of the object adds to the wrench on the gel, bounds aside: (6, 6) [N/m, N, N m]."""
-        moved = np.stack([self._moved(unit) for unit in np.eye(6)], axis=-1)  # (M, 3, 6)
-        return (self.springs[:, [1, 1, 0], None] * moved).reshape(-1, 6).T @ moved.reshape(-1, 6)
+        return self._pushed.reshape(-1, 6).T @ self._moved.reshape(-1, 6)
 
     def wrench(self, motion: Array) -> Array:
         """Force [N] and torque [N m] on the gel after a small motion of the object in the gel's frame [m, rad], (6,) for (6,)."""
         force = self._forces(motion)
-        return np.concatenate([force.sum(axis=0), torque(self.points, force)])
+        return np.concatenate([force.sum(axis=1), torque(self.points, force.T)])
 
     def changed(self, motion: Array) -> float:
         """By how much a motion changes the forces of the cells, over the normal force."""
         change = self._forces(motion) - self._forces(np.zeros(6))
-        return float(np.sqrt((change**2).sum(axis=1)).sum() / self.pressure.sum())
+        return float(np.sqrt((change**2).sum(axis=0)).sum() / self.pressure.sum())
 
     def _forces(self, motion: Array) -> Array:
-        """On the cells [N], (M, 3)."""
-        pushed = self.springs[:, [1, 1, 0]] * self._moved(motion)
-        pressure = np.maximum(self.pressure + pushed[:, 2], 0.0)
-        shear = self.shear + pushed[:, :2]
-        size = np.sqrt(shear[:, 0] ** 2 + shear[:, 1] ** 2)
-        shear *= np.minimum(1.0, self.friction * pressure / np.maximum(size, 1e-30))[:, None]
-        return np.column_stack([shear + pressure[:, None] * self.slope, -pressure])
+        """On the cells [N], (3, M)."""
+        x, y, normal = self._pushed @ motion
+        pressure = np.maximum(self.pressure + normal, 0.0)
+        x, y = self.shear[:, 0] + x, self.shear[:, 1] + y
+        held = np.minimum(1.0, self.friction * pressure / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
+        return np.stack([held * x + pressure * self.slope[:, 0], held * y + pressure * self.slope[:, 1], -pressure])
 
-    def _moved(self, motion: Array) -> Array:
-        """How far a motion takes each spring: along x and y, and along the normal, into the gel, (M, 3)."""
-        (u, v, w), (a, b, c) = motion[:3], motion[3:]
+    @cached_property
+    def _pushed(self) -> Array:
+        """Forces of the springs by motions, along x, along y and normal, (3, M, 6)."""
+        return self.springs.T[[1, 1, 0], :, None] * self._moved
+
+    @cached_property
+    def _moved(self) -> Array:
+        """How far motions take each spring, along x, along y and normal into the gel, (3, M, 6): v + ω × r of the object's point there."""
         x, y, z = self.points.T
-        along, across = u + b * z - c * y, v + c * x - a * z  # of the object's point at each cell: v + ω × r
-        return np.column_stack([along, across, self.slope[:, 0] * along + self.slope[:, 1] * across - (w + a * y - b * x)])
+        moved = np.zeros((3, len(x), 6))
+        moved[0, :, 0], moved[0, :, 4], moved[0, :, 5] = 1.0, z, -y
+        moved[1, :, 1], moved[1, :, 3], moved[1, :, 5] = 1.0, -z, x
+        moved[2] = self.slope[:, :1] * moved[0] + self.slope[:, 1:] * moved[1]
+        moved[2, :, 2:5] -= np.column_stack([np.ones_like(x), y, -x])
+        return moved
 
 
 def torque(points: Array, forces: Array) -> Array:

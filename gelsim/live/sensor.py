@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
-from gelsim.live.layer import Elastic, Layer, Values, Window
+from gelsim.live.layer import Elastic, Values, Window
 from gelsim.live.patch import Patch, torque
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import Grid
@@ -149,7 +149,7 @@ class LiveSensor:
         self._scene = scene
         gel, material = scene.gel, materials.gel_material(scene)
         nu = material.poissons_ratio
-        self._layer = Layer(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+        self._layer = gel_layer.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
