@@ -326,3 +326,14 @@ def punch(answer: Callable[[Values], Values], cells: NDArray[np.bool_]) -> Value
         turn: Any = np.float32(size / before)
         way = left + turn * way
     return traction
+
+
+def between(values: NDArray[np.floating], row: NDArray[np.float64], column: NDArray[np.float64]) -> NDArray[np.floating]:
+    """Values of a grid (..., rows, columns) between its places, bilinear, (..., *shape of row); beyond it those of its rim."""
+    rows, columns = values.shape[-2:]
+    row, column = np.clip(row, 0.0, rows - 1.0), np.clip(column, 0.0, columns - 1.0)
+    up, left = np.minimum(row.astype(np.intp), rows - 2), np.minimum(column.astype(np.intp), columns - 2)
+    down, right = (row - up).astype(values.dtype), (column - left).astype(values.dtype)
+    corner, flat = up * columns + left, values.reshape(*values.shape[:-2], -1)
+    upper, lower = ((one := flat.take(corner + i, axis=-1)) + right * (flat.take(corner + i + 1, axis=-1) - one) for i in (0, columns))
+    return upper + down * (lower - upper)

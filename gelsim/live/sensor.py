@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from gelsim.errors import SceneError
@@ -346,14 +345,14 @@ class LiveSensor:
         rest = places * MM_PER_M
         at = rest
         for _ in range(LOOKS):  # x = X + u_t(x)
-            at = rest + np.stack([self._read(state.field[axis], at) for axis in (0, 1)], axis=1)
+            at = rest + self._read(state.field[:2], at).T
         height = self._read(state.field[2], at) * MM + gel_height(self._scene.gel, at * MM)
         return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
 
-    def _read(self, values: NDArray[np.floating], at: Array) -> Array:
+    def _read(self, values: Values, at: Array) -> NDArray[np.floating]:
+        """Of the grid, (..., M), at places (M, 2) [mm]."""
         layer = self._layer
-        place = [(at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0]]
-        return map_coordinates(values, place, order=1, mode="nearest")
+        return gel_layer.between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
 
 
 class _Drawer:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.fem.field import MARGIN_MM, kept_field, spacing
+from gelsim.live.layer import between
 from gelsim.scene.definition import Body
 from gelsim.shape import shapes
 from gelsim.shape.mesh_file import file_stamp
@@ -109,15 +110,7 @@ class Underside:
 
     def _read(self, x: Array, y: Array) -> Array:
         """Heights of the map at places of its frame; bilinear, and FAR_MM next to what is not there."""
-        rows, columns = self._map.shape
-        across = np.clip((x - self._first[0]) / MAP_MM, 0.0, columns - 1.001)
-        along = np.clip((y - self._first[1]) / MAP_MM, 0.0, rows - 1.001)
-        column, row = across.astype(np.intp), along.astype(np.intp)
-        right, down = across - column, along - row
-        corner = row * columns + column
-        z = self._map.ravel()
-        upper, lower = (z[corner + i] + right * (z[corner + i + 1] - z[corner + i]) for i in (0, columns))
-        found = upper + down * (lower - upper)
+        found = between(self._map, (y - self._first[1]) / MAP_MM, (x - self._first[0]) / MAP_MM)
         return np.where(found > self._top, FAR_MM, found)
 
     def _trace(self, turn: Array) -> None:
