@@ -3,14 +3,15 @@
 Under a traction exp(i k·x) on its outer face a layer of thickness h moves by the same wave. Along k and z, with u_l = i V, t_l = i T,
 Navier's equations have four solutions, (V, W) = (1, ±1) e^{±kz} and (κ ± kz, kz) e^{±kz}, κ = 3 - 4ν; V = W = 0 at z = -h and the traction
 at z = 0 give their shares, a 4 × 4 system. Across k the layer shears alone: u_s = t_s tanh(kh) / Gk. All are 1/Gk times a function of kh
-alone, tabulated once; displacement from traction is then a product in Fourier space (`Layer.moved`).
+alone, tabulated once; displacement from traction is then a product in Fourier space (`Window.moved`). Tractions are looked for on a window
+of the grid around the contact: convolution with the answer to one cell, on twice the window's cells, is there what the whole grid gives.
 
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). Under load the
 layer is as stiff as one thinner by THINNING of the mean indentation. Thickness: that of the gel at the pressure's centre.
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Coulomb friction is incremental: where
-|q| < μp the gel moves with the object, elsewhere q opposes the slip; the same gradients with q projected on its disc. Both alternate, as
-shear lifts the surface and pressure spreads it.
+|q| < μp the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over discs, found by spectral projected
+gradients (Birgin, Martínez and Raydan 2000). Both alternate, as shear lifts the surface and pressure spreads it.
 
 Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, inertia, viscosity, and
 the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
@@ -37,7 +38,7 @@ THINNING = 0.3
 GAP_TOLERANCE = 1e-3
 """Of the deepest overlap: gaps left in the contact, RMS."""
 SLIP_TOLERANCE = 5e-3
-"""Of the motion along the face: slip left where it sticks; and of the bounds μp: what one more step would change where it slides."""
+"""What a step of G/h times the slip would still change, over the bounds μp, and over that step of all motion along the face."""
 ROUNDS = 12
 """Between pressure, shear and thickness, at most."""
 SETTLED = 2e-3
@@ -181,6 +182,11 @@ class Window:
     thickness: float
     answers: Values
 
+    @property
+    def stiffness(self) -> float:
+        """Of the softest wave, along the face [kPa/mm]: a step along the slip that no search overshoots."""
+        return self.layer.material.shear_kpa / self.thickness
+
     def at(self, thickness: float) -> Window:
         """The same of another thickness [mm]."""
         return self.layer.window(self.shape, thickness)
@@ -227,7 +233,7 @@ class Window:
         return self._back(-1j * (self.answers[4:] * self._there(pressure)))
 
 
-def pressure(layer: Window, room: Values, start: Values) -> tuple[Values, Values]:
+def pressure(window: Window, room: Values, start: Values) -> tuple[Values, Values]:
     """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap.
 
     Args:
@@ -240,8 +246,8 @@ def pressure(layer: Window, room: Values, start: Values) -> tuple[Values, Values
     # The contact lies where there is overlap or was pressure; what else joins is found by the overlap that it comes to.
     p = np.where(start > 0, start, 0.0).astype(np.float32)
     if not p.any():
-        p[room < 0] = layer.layer.material.shear_kpa * 1e-3
-    gap = room + layer.sunk(p)
+        p[room < 0] = window.layer.material.shear_kpa * 1e-3
+    gap = room + window.sunk(p)
     way, before = np.zeros_like(p), 0.0
     for _ in range(STEPS):
         held = p > 0
@@ -252,10 +258,10 @@ def pressure(layer: Window, room: Values, start: Values) -> tuple[Values, Values
         if size <= (GAP_TOLERANCE * deepest) ** 2 * held.sum() and worst <= 3 * GAP_TOLERANCE * deepest:
             break
         way = inside + np.float32(size / before if before else 0.0) * np.where(held, way, 0.0)
-        answer = layer.sunk(way)
+        answer = window.sunk(way)
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # nothing in contact yet, or no more than rounding is left
-            step = layer.layer.material.shear_kpa / layer.thickness
+            step = window.stiffness
         else:
             step = float(np.vdot(inside, way)) / steep
         moved = p - np.float32(step) * way
@@ -263,14 +269,14 @@ def pressure(layer: Window, room: Values, start: Values) -> tuple[Values, Values
         if left.any() or overlap.any():
             p = np.maximum(moved, 0.0)
             p[overlap] -= np.float32(step) * gap[overlap]
-            gap = room + layer.sunk(p)
+            gap = room + window.sunk(p)
             before = 0.0 if overlap.any() else size
         else:
             p, gap, before = moved, gap - np.float32(step) * answer, size
     return p, gap
 
 
-def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
+def shear(window: Window, away: Values, bound: Values, start: Values) -> Values:
     """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip = away + dragged(q) is 0 where |q| < bound, else against q.
 
     Args:
@@ -278,7 +284,6 @@ def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
         bound: μp, (rows, columns).
         start: A first guess.
     """
-
     touching = bound > 0
     if not touching.any():
         return np.zeros_like(away)
@@ -287,16 +292,16 @@ def shear(layer: Window, away: Values, bound: Values, start: Values) -> Values:
         length = np.sqrt(q[0] ** 2 + q[1] ** 2)
         return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
 
-    softest: Any = np.float32(layer.layer.material.shear_kpa / layer.thickness)
+    softest: Any = np.float32(window.stiffness)
     allowed = SLIP_TOLERANCE * min(float(softest) * float(np.linalg.norm(away * touching)), float(np.linalg.norm(bound)))
     q = projected(start)
-    slip: Values = (away + layer.dragged(q)) * touching
+    slip: Values = (away + window.dragged(q)) * touching
     step: Any = softest
     for _ in range(STEPS):
         if float(np.linalg.norm(projected(q - softest * slip) - q)) <= allowed:
             break
         way = projected(q - step * slip) - q
-        answer = layer.dragged(way) * touching
+        answer = window.dragged(way) * touching
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # no more than rounding is left
             break

@@ -5,13 +5,13 @@
     touch.step()                                                              # instead of mujoco.mj_step(model, data)
 
 A pad's gel is a site: z along the outward normal, the origin on the outer face. The object is a body, all of whose geoms together are its
-shape. Each step asks every sensor once, at the pose the step starts from, and applies equal and opposite wrenches at the bodies' centres
-of mass.
+shape. Each step applies equal and opposite wrenches at the bodies' centres of mass. A sensor is asked at the pose that a step starts from:
+in each step, or with a `period` when its last answer is so old, or the cells' forces have changed by CHANGE of the normal force since.
 
 A gel is stiff: 10 g on 3 N/mm swing faster than steps of 2 ms can follow. So the force is the one that the gel will have at the step's end,
-F = F₀ + K h v⁺, with K of `gelsim.live.patch` and v⁺ = v* + R (F - F*). v* and R are MuJoCo's own: trial steps with the last force F*, and
-with F* changed by a little in each of its six numbers, show what velocity follows. So joints, actuators and other contacts are in R, and
-where nothing moves F is F₀ exactly. Callbacks of the model see the trial steps too.
+F = F₀ + K h v⁺, with F₀ and K of `gelsim.live.patch` and v⁺ = v* + R (F - F*). v* and R are MuJoCo's own: trial steps with the last force
+F*, and with F* changed by a little in each of its six numbers, show what velocity follows; R is as of the last answer. So joints, actuators
+and other contacts are in R, and where nothing moves F is F₀ exactly. Callbacks of the model see the trial steps too.
 
 Left out: what pads on one gel or objects on one pad do to each other; deformable bodies; contact of a pad with anything but its object is
 MuJoCo's own, with the box at rest. The implicit step takes energy out of fast motion, as an elastic gel would not.
