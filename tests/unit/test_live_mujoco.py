@@ -192,7 +192,7 @@ def gained(places: np.ndarray, forces: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("seconds", [1.0, pytest.param(10, marks=SLOW)])
 def test_no_touch_of_a_random_motion_gains_energy(seconds: float) -> None:
-    """Each touch gives back no more than it got, within 1 %; of ten minutes 5 of 2052 did, whose energy is not known (docs/live.md)."""
+    """Each touch gives back no more than it got, within 1 %; of 2052 in ten minutes 5 gave back more, whose energy is not known."""
     places, _, forces = shaken(round(500 * seconds), 0.02, turns=False)
     back = gained(places, forces)
     assert len(back) > 2 * seconds and back.max() < 1.01
