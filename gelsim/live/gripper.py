@@ -63,6 +63,8 @@ WORLD = """
 """
 CONTROL_STEPS = 10
 """Steps of the model to one of the environment: 20 ms."""
+PERIOD = 0.01
+"""Between answers of a gel [s]."""
 CLOSING, LIFTING = 0.02, 0.05
 """Speeds of the action ±1 [m/s]."""
 LIFTED = 0.03
@@ -83,7 +85,7 @@ def gripper(scene: Scene, mass: float) -> tuple[mujoco.MjModel, mujoco.MjData, T
     spec.body("thing").geoms[0].mass = mass
     model = spec.compile()
     data = mujoco.MjData(model)
-    touch = Touch(model, data, [Pad(model, f"{side}_pad", "thing", scene) for side in ("left", "right")])
+    touch = Touch(model, data, [Pad(model, f"{side}_pad", "thing", scene) for side in ("left", "right")], PERIOD)
     return model, data, touch
 
 

@@ -3,14 +3,15 @@
 Under a traction exp(i k·x) on its outer face a layer of thickness h moves by the same wave. Along k and z, with u_l = i V, t_l = i T,
 Navier's equations have four solutions, (V, W) = (1, ±1) e^{±kz} and (κ ± kz, kz) e^{±kz}, κ = 3 - 4ν; V = W = 0 at z = -h and the traction
 at z = 0 give their shares, a 4 × 4 system. Across k the layer shears alone: u_s = t_s tanh(kh) / Gk. All are 1/Gk times a function of kh
-alone, tabulated once; displacement from traction is then a product in Fourier space (`Layer.moved`).
+alone, tabulated once; displacement from traction is then a product in Fourier space (`Window.moved`). Tractions are looked for on a window
+of the grid around the contact: convolution with the answer to one cell, on twice the window's cells, is there what the whole grid gives.
 
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). Under load the
 layer is as stiff as one thinner by THINNING of the mean indentation. Thickness: that of the gel at the pressure's centre.
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Coulomb friction is incremental: where
-|q| < μp the gel moves with the object, elsewhere q opposes the slip; the same gradients with q projected on its disc. Both alternate, as
-shear lifts the surface and pressure spreads it.
+|q| < μp the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over discs, found by spectral projected
+gradients (Birgin, Martínez and Raydan 2000). Both alternate, as shear lifts the surface and pressure spreads it.
 
 Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, inertia, viscosity, and
 the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
@@ -18,8 +19,11 @@ the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single pr
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +38,15 @@ THINNING = 0.3
 GAP_TOLERANCE = 1e-3
 """Of the deepest overlap: gaps left in the contact, RMS."""
 SLIP_TOLERANCE = 5e-3
-"""Of the motion along the face: slip left where it sticks; and of the bounds μp: what one more step would change where it slides."""
+"""What a step of G/h times the slip would still change, over the bounds μp, and over that step of all motion along the face."""
 ROUNDS = 12
 """Between pressure, shear and thickness, at most."""
 SETTLED = 2e-3
 """Relative change of the pressure, and of the thickness, at which the rounds end."""
+NODES = 0.01
+"""Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
+PUNCH_TOLERANCE = 0.05
+"""Of the motion of a flat punch, RMS over its cells."""
 STEPS = 200
 """Of a gradient method, at most."""
 _WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 300.0, 3000)])
@@ -90,57 +98,143 @@ class Layer:
             cell * np.arange(0.5 - count / 2, count / 2, dtype=np.float64) for count, cell in zip(counts, self.cell, strict=True)
         )
         """Of the cells' middles [mm]."""
-        kx = 2 * np.pi * fft.rfftfreq(counts[0], self.cell[0])[None, :]
-        ky = 2 * np.pi * fft.fftfreq(counts[1], self.cell[1])[:, None]
-        self._k = np.hypot(kx, ky)
-        far = np.where(self._k == 0.0, 1.0, self._k)
-        # A wave of two cells has no direction to and fro.
-        odd = (np.arange(kx.shape[1])[None, :] != counts[0] // 2) & (np.arange(counts[1])[:, None] != counts[1] // 2)
-        self._cx, self._cy, self._odd = kx / far, ky / far, odd
-        self.thickness = 0.0
+        self._nodes: dict[tuple[tuple[int, int], int], Values] = {}
+        self._spaces: dict[int, Values] = {}
 
-    def thin(self, thickness: float) -> None:
-        """Sets the layer's thickness [mm]."""
-        shear, nu, k = self.material.shear_kpa, self.material.poissons_ratio, self._k
+    def window(self, shape: tuple[int, int], thickness: float) -> Window:
+        """What tractions on so many rows and columns, wherever they lie, do there, of a layer of some thickness [mm].
+
+        Not an approximation: no traction is outside, and twice as many cells keep the window's images apart.
+        """
+        padded = min(2 * shape[0], self.shape[0]), min(2 * shape[1], self.shape[1])
+        place = math.log(thickness) / math.log1p(NODES)
+        node = math.floor(place)
+        share: Any = np.float32(place - node)
+        answers = (1 - share) * self._node(padded, node) + share * self._node(padded, node + 1)
+        return Window(self, shape, padded, thickness, answers)
+
+    def _node(self, shape: tuple[int, int], node: int) -> Values:
+        """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (6, rows, columns / 2 + 1).
+
+        Of u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and over i of u_x and u_y by p.
+        """
+        if (shape, node) in self._nodes:
+            return self._nodes[shape, node]
+        space = self._space(node)
+        for axis, (count, whole) in enumerate(zip(shape, self.shape, strict=True), start=1):
+            if count < whole:  # as far as the window reaches
+                space = np.moveaxis(space, axis, 0)
+                cut = np.zeros((count, *space.shape[1:]), np.float32)
+                reach = np.arange(1 - count // 2, count // 2)
+                cut[reach] = space[reach]
+                space = np.moveaxis(cut, 0, axis)
+        found: Any = fft.rfft2(space)
+        return self._nodes.setdefault((shape, node), np.concatenate([found[:4].real, found[4:].imag]))
+
+    def _space(self, node: int) -> Values:
+        """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
+        if node in self._spaces:
+            return self._spaces[node]
+        shear, nu, thickness = self.material.shear_kpa, self.material.poissons_ratio, (1 + NODES) ** node
+        kx = 2 * np.pi * fft.rfftfreq(self.shape[1], self.cell[0])[None, :]
+        ky = 2 * np.pi * fft.fftfreq(self.shape[0], self.cell[1])[:, None]
+        k = np.hypot(kx, ky)
         scale = np.divide(1.0, shear * k, out=np.zeros_like(k), where=k > 0)
         along, mixed, normal, across = (scale * np.interp(k * thickness, _WAVES, table) for table in waves(nu))
         along[0, 0] = across[0, 0] = thickness / shear
         normal[0, 0] = thickness / shear * (1 - 2 * nu) / (2 - 2 * nu)
-        cx, cy = self._cx, self._cy
-        self._zz = normal.astype(np.float32)
-        self._xx, self._yy = ((along * a**2 + across * b**2).astype(np.float32) for a, b in ((cx, cy), (cy, cx)))
-        self._xx[0, 0] = self._yy[0, 0] = thickness / shear
-        self._xy = ((along - across) * cx * cy * self._odd).astype(np.float32)
-        self._xz, self._yz = ((1j * mixed * c * self._odd).astype(np.complex64) for c in (cx, cy))
-        self.thickness = thickness
+        cx, cy = (np.divide(way, k, out=np.zeros_like(k), where=k > 0) for way in (kx, ky))
+        # A wave of two cells has no direction to and fro.
+        odd = (np.arange(k.shape[1])[None, :] != self.shape[1] // 2) & (np.arange(k.shape[0])[:, None] != self.shape[0] // 2)
+        xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
+        xx[0, 0] = yy[0, 0] = thickness / shear
+        answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
+        moved: Any = fft.irfft2(answers.astype(np.complex64), self.shape)
+        return self._spaces.setdefault(node, moved)
+
+
+@lru_cache(maxsize=64)
+def _waves_of(count: int, padded: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Fourier's transform of `count` cells padded to `padded` as matrices, which so few cells are through sooner than an FFT.
+
+    To all waves (padded, count) and back (count, padded); of real values to half of the waves, their real and imaginary parts side by
+    side (count, padded + 2), and back (padded + 2, count).
+    """
+    turn = np.exp(-2j * np.pi / padded * np.outer(np.arange(padded), np.arange(count))).astype(np.complex64)
+    half = turn[: padded // 2 + 1]
+    twice = np.full((len(half), 1), 2.0 / padded)
+    twice[[0, -1]] /= 2
+    real_back = np.stack([twice * half.real, twice * half.imag], axis=1).reshape(-1, count).astype(np.float32)
+    return turn, np.ascontiguousarray(half.T).view(np.float32), np.ascontiguousarray(turn.conj().T) / np.float32(padded), real_back
+
+
+shared = lru_cache(maxsize=8)(Layer)
+"""The layer of a size and a material, whose tables all sensors with such a gel use."""
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Some rows and columns of a layer's grid."""
+
+    layer: Layer
+    shape: tuple[int, int]
+    padded: tuple[int, int]
+    thickness: float
+    answers: Values
+
+    @property
+    def stiffness(self) -> float:
+        """Of the softest wave, along the face [kPa/mm]: a step along the slip that no search overshoots."""
+        return self.layer.material.shear_kpa / self.thickness
+
+    def at(self, thickness: float) -> Window:
+        """The same of another thickness [mm]."""
+        return self.layer.window(self.shape, thickness)
 
     def _there(self, values: Values) -> NDArray[np.complex64]:
-        return fft.rfft2(values)  # type: ignore[return-value]
+        if self.padded == self.layer.shape:
+            return fft.rfft2(values, self.padded)  # type: ignore[return-value]
+        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+        return rows[0] @ (values @ columns[1]).view(np.complex64)
 
     def _back(self, waves_of: NDArray[np.complex64]) -> Values:
-        return fft.irfft2(waves_of, self.shape)  # type: ignore[return-value]
+        if self.padded == self.layer.shape:
+            return fft.irfft2(waves_of, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
+        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+        return (rows[2] @ waves_of).view(np.float32) @ columns[3]
+
+    def moved(self, pressure: Values, shear: Values) -> Values:
+        """Displacement u of all tractions together [mm], (3, rows, columns)."""
+        zz, xx, yy, xy, xz, yz = self.answers
+        x, y, p = self._there(np.concatenate([shear, pressure[None]]))
+        return self._back(np.stack([xx * x + xy * y - 1j * (xz * p), xy * x + yy * y - 1j * (yz * p), -1j * (xz * x + yz * y) - zz * p]))
 
     def sunk(self, pressure: Values) -> Values:
         """How deep a pressure alone presses the face [mm]."""
-        return self._back(self._zz * self._there(pressure))
+        return self._back(self.answers[0] * self._there(pressure))
+
+    def drawn(self, shear: Values) -> Values:
+        """How far tangential tractions along x alone move the face along x [mm]."""
+        return self._back(self.answers[1] * self._there(shear))
 
     def dragged(self, shear: Values) -> Values:
         """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""
-        x, y = self._there(shear[0]), self._there(shear[1])
-        return np.stack([self._back(self._xx * x + self._xy * y), self._back(self._xy * x + self._yy * y)])
+        _, xx, yy, xy = self.answers[:4]
+        x, y = self._there(shear)
+        return self._back(np.stack([xx * x + xy * y, xy * x + yy * y]))
 
     def lifted(self, shear: Values) -> Values:
         """u_z of tangential tractions [mm]."""
-        return -self._back(self._xz * self._there(shear[0]) + self._yz * self._there(shear[1]))
+        x, y = self._there(shear)
+        return self._back(-1j * (self.answers[4] * x + self.answers[5] * y))
 
     def spread(self, pressure: Values) -> Values:
         """u_t of a pressure [mm], (2, rows, columns)."""
-        p = self._there(pressure)
-        return np.stack([-self._back(self._xz * p), -self._back(self._yz * p)])
+        return self._back(-1j * (self.answers[4:] * self._there(pressure)))
 
 
-def pressure(layer: Layer, room: Values, start: Values) -> Values:
-    """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0.
+def pressure(window: Window, room: Values, start: Values) -> tuple[Values, Values]:
+    """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap.
 
     Args:
         room: Gap that the face has without it [mm]; negative where the object would overlap.
@@ -148,12 +242,12 @@ def pressure(layer: Layer, room: Values, start: Values) -> Values:
     """
     deepest = -float(room.min())
     if deepest <= 0.0:
-        return np.zeros_like(room)
+        return np.zeros_like(room), room
     # The contact lies where there is overlap or was pressure; what else joins is found by the overlap that it comes to.
     p = np.where(start > 0, start, 0.0).astype(np.float32)
     if not p.any():
-        p[room < 0] = layer.material.shear_kpa * 1e-3
-    gap = room + layer.sunk(p)
+        p[room < 0] = window.layer.material.shear_kpa * 1e-3
+    gap = room + window.sunk(p)
     way, before = np.zeros_like(p), 0.0
     for _ in range(STEPS):
         held = p > 0
@@ -164,10 +258,10 @@ def pressure(layer: Layer, room: Values, start: Values) -> Values:
         if size <= (GAP_TOLERANCE * deepest) ** 2 * held.sum() and worst <= 3 * GAP_TOLERANCE * deepest:
             break
         way = inside + np.float32(size / before if before else 0.0) * np.where(held, way, 0.0)
-        answer = layer.sunk(way)
+        answer = window.sunk(way)
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # nothing in contact yet, or no more than rounding is left
-            step = layer.material.shear_kpa / layer.thickness
+            step = window.stiffness
         else:
             step = float(np.vdot(inside, way)) / steep
         moved = p - np.float32(step) * way
@@ -175,14 +269,14 @@ def pressure(layer: Layer, room: Values, start: Values) -> Values:
         if left.any() or overlap.any():
             p = np.maximum(moved, 0.0)
             p[overlap] -= np.float32(step) * gap[overlap]
-            gap = room + layer.sunk(p)
+            gap = room + window.sunk(p)
             before = 0.0 if overlap.any() else size
         else:
             p, gap, before = moved, gap - np.float32(step) * answer, size
-    return p
+    return p, gap
 
 
-def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
+def shear(window: Window, away: Values, bound: Values, start: Values) -> Values:
     """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip = away + dragged(q) is 0 where |q| < bound, else against q.
 
     Args:
@@ -190,35 +284,61 @@ def shear(layer: Layer, away: Values, bound: Values, start: Values) -> Values:
         bound: μp, (rows, columns).
         start: A first guess.
     """
-
-    def projected(q: NDArray[np.floating]) -> Values:
-        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-        return (q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))).astype(np.float32, copy=False)
-
     touching = bound > 0
     if not touching.any():
         return np.zeros_like(away)
-    allowed = SLIP_TOLERANCE * float(np.linalg.norm(away * touching)), SLIP_TOLERANCE * float(np.linalg.norm(bound))
+
+    def projected(q: Values) -> Values:
+        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
+        return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+
+    softest: Any = np.float32(window.stiffness)
+    allowed = SLIP_TOLERANCE * min(float(softest) * float(np.linalg.norm(away * touching)), float(np.linalg.norm(bound)))
     q = projected(start)
-    way: Values = np.zeros_like(q)
-    before, free_before = 0.0, None
-    slip: Values = away + layer.dragged(q)
-    step = layer.material.shear_kpa / layer.thickness
+    slip: Values = (away + window.dragged(q)) * touching
+    step: Any = softest
     for _ in range(STEPS):
-        at_bound = q[0] ** 2 + q[1] ** 2 >= (np.float32(1 - 1e-5) * bound) ** 2
-        free = touching & ~(at_bound & ((slip * q).sum(axis=0) < 0))
-        inside = slip * free
-        change = (projected(q - np.float32(step) * slip) - q) * ~free
-        if float(np.linalg.norm(inside)) <= allowed[0] and float(np.linalg.norm(change)) <= allowed[1]:
+        if float(np.linalg.norm(projected(q - softest * slip) - q)) <= allowed:
             break
-        size = float(np.vdot(inside, inside))
-        same = free_before is not None and np.array_equal(free, free_before)
-        way = inside + np.float32(size / before if same and before else 0.0) * (way * free)
-        answer = layer.dragged(way)
+        way = projected(q - step * slip) - q
+        answer = window.dragged(way) * touching
         steep = float(np.vdot(answer, way))
-        if steep > 0.0:
-            step = float(np.vdot(inside, way)) / steep
-        q = projected(q - np.float32(step) * (way + slip * ~free))
-        slip = away + layer.dragged(q)
-        before, free_before = size, free
+        if steep <= 0.0:  # no more than rounding is left
+            break
+        part: Any = np.float32(min(1.0, -float(np.vdot(slip, way)) / steep))
+        q, slip = q + part * way, slip + part * answer
+        step = np.float32(steep / float(np.vdot(answer, answer)))
     return q
+
+
+def punch(answer: Callable[[Values], Values], cells: NDArray[np.bool_]) -> Values:
+    """Traction on some cells [kPa/mm] that moves all of them alike, by conjugate gradients; 0 on the others.
+
+    Args:
+        answer: Motion of the cells [mm] by tractions [kPa].
+    """
+    traction = np.zeros(cells.shape, np.float32)
+    left = cells.astype(np.float32)
+    way, size = left, float(np.vdot(left, left))
+    allowed = PUNCH_TOLERANCE**2 * size
+    for _ in range(STEPS):
+        if size <= allowed:
+            break
+        moved = answer(way) * cells
+        step: Any = np.float32(size / float(np.vdot(way, moved)))
+        traction, left = traction + step * way, left - step * moved
+        before, size = size, float(np.vdot(left, left))
+        turn: Any = np.float32(size / before)
+        way = left + turn * way
+    return traction
+
+
+def between(values: NDArray[np.floating], row: NDArray[np.float64], column: NDArray[np.float64]) -> NDArray[np.floating]:
+    """Values of a grid (..., rows, columns) between its places, bilinear, (..., *shape of row); beyond it those of its rim."""
+    rows, columns = values.shape[-2:]
+    row, column = np.clip(row, 0.0, rows - 1.0), np.clip(column, 0.0, columns - 1.0)
+    up, left = np.minimum(row.astype(np.intp), rows - 2), np.minimum(column.astype(np.intp), columns - 2)
+    down, right = (row - up).astype(values.dtype), (column - left).astype(values.dtype)
+    corner, flat = up * columns + left, values.reshape(*values.shape[:-2], -1)
+    upper, lower = ((one := flat.take(corner + i, axis=-1)) + right * (flat.take(corner + i + 1, axis=-1) - one) for i in (0, columns))
+    return upper + down * (lower - upper)

@@ -5,13 +5,13 @@
     touch.step()                                                              # instead of mujoco.mj_step(model, data)
 
 A pad's gel is a site: z along the outward normal, the origin on the outer face. The object is a body, all of whose geoms together are its
-shape. Each step asks every sensor once, at the pose the step starts from, and applies equal and opposite wrenches at the bodies' centres
-of mass.
+shape. Each step applies equal and opposite wrenches at the bodies' centres of mass. A sensor is asked at the pose that a step starts from:
+in each step, or with a `period` when its last answer is so old, or the cells' forces have changed by CHANGE of the normal force since.
 
 A gel is stiff: 10 g on 3 N/mm swing faster than steps of 2 ms can follow. So the force is the one that the gel will have at the step's end,
-F = F₀ + K h v⁺, with K of `gelsim.live.patch` and v⁺ = v* + R (F - F*). v* and R are MuJoCo's own: trial steps with the last force F*, and
-with F* changed by a little in each of its six numbers, show what velocity follows. So joints, actuators and other contacts are in R, and
-where nothing moves F is F₀ exactly. Callbacks of the model see the trial steps too.
+F = F₀ + K h v⁺, with F₀ and K of `gelsim.live.patch` and v⁺ = v* + R (F - F*). v* and R are MuJoCo's own: trial steps with the last force
+F*, and with F* changed by a little in each of its six numbers, show what velocity follows; R is as of the last answer. So joints, actuators
+and other contacts are in R, and where nothing moves F is F₀ exactly. Callbacks of the model see the trial steps too.
 
 Left out: what pads on one gel or objects on one pad do to each other; deformable bodies; contact of a pad with anything but its object is
 MuJoCo's own, with the box at rest. The implicit step takes energy out of fast motion, as an elastic gel would not.
@@ -34,6 +34,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from gelsim.errors import SceneError
+from gelsim.live.patch import Patch
 from gelsim.live.sensor import LiveFrame, LiveSensor
 from gelsim.scene.definition import Body, Scene
 from gelsim.shape.shapes import load_mesh
@@ -47,6 +48,8 @@ GEL_DENSITY = 1e3
 PROBE = 1e-3
 """Change of a force [N], and over a centimetre of a torque, whose effect a trial step shows."""
 ARM = 1e-2
+CHANGE = 0.1
+"""Of the cells' forces, over the normal force, up to which an answer of the gel goes on by its stiffness."""
 ROUND = 4
 """Subdivisions of an icosahedron for a ball: its facets lie R/900 deeper at most."""
 SMOOTH = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
@@ -108,33 +111,59 @@ class Pad:
             shape, self._origin = _shape(model, self.object, Path(folder) / f"{body}.stl")
             self.sensor = LiveSensor(scene.replace(object=shape), image=False)
         self.frame: LiveFrame | None = None
-        """Of the last step's start; its image is None, see `image`."""
+        """The gel's last answer; its image is None, see `image`."""
+        self.patch: Patch | None = None
+        """How its force goes on from there."""
+        self._asked, self._place = 0.0, np.zeros(7)
         self.wrench = np.zeros(6)
         """Force [N] and torque [N m] about the gel's origin on the gel by the object in the last step, in the gel's frame."""
 
     def image(self) -> NDArray[np.uint8]:
-        """The picture at the last step's start, 8-bit sRGB, shape (H, W, 3). The first of a sensor measures its light: a minute or two."""
+        """The picture of the gel's last answer, 8-bit sRGB, shape (H, W, 3). The first of a sensor measures its light: a minute or two."""
         return self.sensor.image()
 
     def reset(self) -> None:
         """Forgets slip and force: call it where the simulation is reset."""
         self.sensor.reset()
-        self.frame, self.wrench = None, np.zeros(6)
+        self.frame, self.patch, self.wrench = None, None, np.zeros(6)
+
+    def look(self, data: mujoco.MjData, period: float) -> Array:
+        """Asks the gel, if its answer does not hold any more; the object's motion since the answer, (6,).
+
+        It holds where the object touches, for a period [s] and while the cells' forces have changed by less than CHANGE.
+        """
+        pose, motion = self.pose(data), np.zeros(6)
+        if self.patch is not None and len(self.patch.points) and data.time - self._asked < period - 1e-9:
+            turn, shift = np.empty(4), np.empty(3)
+            mujoco.mju_negQuat(turn, self._place[3:])
+            mujoco.mju_mulQuat(turn, pose[3:], turn.copy())
+            mujoco.mju_rotVecQuat(shift, self._place[:3], turn)
+            motion[:3] = pose[:3] - shift
+            mujoco.mju_quat2Vel(motion[3:], turn, 1.0)
+            if self.patch.changed(motion) < CHANGE:
+                return motion
+        self.frame, self.patch = self.sensor.step(pose, max(data.time - self._asked, 1e-9)), self.sensor.patch()
+        self._asked, self._place = data.time, pose
+        return np.zeros(6)
 
     def pose(self, data: mujoco.MjData) -> Array:
         """Of the object in the gel's frame, as the sensor takes it: x, y, z [m], at most FAR, quaternion w, x, y, z; (7,)."""
         gel, at = data.site_xmat[self.site].reshape(3, 3), data.site_xpos[self.site]
         turn = data.xmat[self.object].reshape(3, 3)
-        place = gel.T @ (data.xpos[self.object] + turn @ self._origin - at)
-        return np.concatenate([np.clip(place, -FAR, FAR), np.roll(Rotation.from_matrix(gel.T @ turn).as_quat(), 1)])
+        pose = np.empty(7)
+        pose[:3] = np.clip(gel.T @ (data.xpos[self.object] + turn @ self._origin - at), -FAR, FAR)
+        mujoco.mju_mat2Quat(pose[3:], (gel.T @ turn).ravel())
+        return pose
 
     def levers(self, data: mujoco.MjData) -> Pair:
         """Of gel and object: the body, and the matrix (6, 6) from a wrench on the gel, in its frame, to the body's `xfrc_applied`."""
         at, turn = data.site_xpos[self.site], data.site_xmat[self.site].reshape(3, 3)
         found = []
         for body, sign in ((self.body, 1.0), (self.object, -1.0)):
-            lever = np.kron(np.eye(2), turn)
-            lever[3:, :3] = np.cross(at - data.xipos[body], turn, axisb=0, axisc=0)
+            x, y, z = at - data.xipos[body]
+            lever = np.zeros((6, 6))
+            lever[:3, :3] = lever[3:, 3:] = turn
+            lever[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
             found.append((body, sign * lever))
         return found[0], found[1]
 
@@ -142,9 +171,15 @@ class Pad:
 class Touch:
     """A model whose pads feel. What the user puts into `data.xfrc_applied` stays and acts too."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, pads: Iterable[Pad]) -> None:
-        self.model, self.data, self.pads = model, data, list(pads)
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, pads: Iterable[Pad], period: float = 0.0) -> None:
+        """Takes the pads.
+
+        Args:
+            period: Time [s] between answers of a gel that touches, in which its force goes on by its stiffness; 0 asks it each step.
+        """
+        self.model, self.data, self.pads, self.period = model, data, list(pads), period
         self._state = np.zeros(mujoco.mj_stateSize(model, STATE))
+        self._response: Array = np.zeros(0)
 
     def reset(self) -> None:
         """After `mujoco.mj_resetData`, or a new state: no pad remembers anything."""
@@ -161,9 +196,9 @@ class Touch:
         mujoco.mj_getState(model, data, self._state, STATE)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        for pad in self.pads:
-            pad.frame = pad.sensor.step(pad.pose(data), step)
-        patches = [pad.sensor.patch() for pad in self.pads]
+        asked = [pad.patch for pad in self.pads]
+        gone = np.concatenate([pad.look(data, self.period) for pad in self.pads])
+        patches: list[Patch] = [pad.patch for pad in self.pads]  # type: ignore[misc]
         levers = [pad.levers(data) for pad in self.pads]
         approach = np.concatenate([_approach(model, data, pair) for pair in levers])
         touching = np.repeat([len(patch.points) > 0 for patch in patches], 6)
@@ -171,15 +206,16 @@ class Touch:
         if touching.any():
             last = np.concatenate([pad.wrench for pad in self.pads]) * touching
             motion = step * approach @ self._trial(levers, last)
-            response = np.zeros((len(last), len(last)))  # of the motion to the wrenches
-            for column in np.flatnonzero(touching):
-                probe = PROBE * (1.0 if column % 6 < 3 else ARM) * (np.arange(len(last)) == column)
-                response[:, column] = (step * approach @ self._trial(levers, last + probe) - motion) / probe[column]
-            stiff: Array = np.asarray(block_diag(*(patch.stiffness() for patch in patches)))
-            now = np.concatenate([patch.wrench(np.zeros(6)) for patch in patches])
+            if patches != asked:
+                self._response = np.zeros((len(last), len(last)))  # of the motion to the wrenches
+                for column in np.flatnonzero(touching):
+                    probe = PROBE * (1.0 if column % 6 < 3 else ARM) * (np.arange(len(last)) == column)
+                    self._response[:, column] = (step * approach @ self._trial(levers, last + probe) - motion) / probe[column]
+            stiff: Array = np.asarray(block_diag(*(patch.stiffness for patch in patches)))
+            now = np.concatenate([patch.wrench(way) for patch, way in zip(patches, gone.reshape(-1, 6), strict=True)])
             # wrench = now + stiff motion and motion = that of the last wrench + response (wrench - last), solved for both
-            motion += response @ np.linalg.solve(np.eye(len(last)) - stiff @ response, now + stiff @ motion - last)
-        for pad, patch, way in zip(self.pads, patches, motion.reshape(-1, 6), strict=True):
+            motion += self._response @ np.linalg.solve(np.eye(len(last)) - stiff @ self._response, now + stiff @ motion - last)
+        for pad, patch, way in zip(self.pads, patches, (gone + motion).reshape(-1, 6), strict=True):
             pad.wrench = patch.wrench(way)
         self._push(levers, np.concatenate([pad.wrench for pad in self.pads]))
 

@@ -1,10 +1,10 @@
 """How the force of a contact goes on over a motion so small that the contact stays what it is: what an implicit time step asks for.
 
 Each cell that touches is a spring along the gel's normal and one along its face, bounded as contact is: it does not pull, and shear stays
-within the coefficient of friction times pressure. Their stiffness is shared out as the pressure p is. Its sum: by the Cauchy-Schwarz
-inequality a patch that moves as one is at least (Σp)² / p·Ap stiff, A being displacement by traction (on a half-space 5/6 of a ball's
-stiffness), and ABOVE_LEAST times that is taken. Only the stability of a step rests on it, no force at rest: a linearly implicit step is
-stable if the stiffness it assumes is over half of the true one (tests/unit/test_live_patch.py measures it).
+within the coefficient of friction times pressure. Their stiffness is the traction of a flat punch of the contact's area
+(`gelsim.live.layer.punch`), which is what a ball's pressure, too, grows by under a small motion (Johnson 1985, §5.3). Only the stability
+of a step, and the force between two answers of the gel, rest on it, no force at rest: a linearly implicit step is stable if the stiffness
+it assumes is over half of the true one (tests/unit/test_live_patch.py measures it).
 
 Left out: cells that come to touch, how cells pull on each other, and the turn of what slides.
 """
@@ -12,14 +12,12 @@ Left out: cells that come to touch, how cells pull on each other, and the turn o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-ABOVE_LEAST = 1.4
-"""Brings it to 0.75 to 1.2 times the true stiffness, along the normal and along the face, of balls R 3 and 8 down to half the thickness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,39 +34,50 @@ class Patch:
     """Of the gel at rest along x and y, shape (M, 2): a pressure p acts as p (slope, -1)."""
     friction: float
     """Coefficient."""
-    normal_stiffness: float
-    """Of all cells together [N/m]."""
-    shear_stiffness: float
-    """Likewise along the face [N/m]."""
+    springs: Array
+    """Stiffness along the normal and along the face [N/m], shape (M, 2)."""
 
+    @cached_property
     def stiffness(self) -> Array:
         """What a motion of the object adds to the wrench on the gel, bounds aside: (6, 6) [N/m, N, N m]."""
-        along, normal = self._springs()
-        rows = np.concatenate([along, normal[:, None]], axis=1)
-        return np.einsum("mki,mk,mkj->ij", rows, self._shares()[:, [1, 1, 0]], rows)
+        return self._pushed.reshape(-1, 6).T @ self._moved.reshape(-1, 6)
 
     def wrench(self, motion: Array) -> Array:
         """Force [N] and torque [N m] on the gel after a small motion of the object in the gel's frame [m, rad], (6,) for (6,)."""
-        along, normal = self._springs()
-        shares = self._shares()
-        pressure = np.maximum(self.pressure + shares[:, 0] * (normal @ motion), 0.0)
-        shear = self.shear + shares[:, 1:] * (along @ motion)
-        size = np.linalg.norm(shear, axis=1)
-        shear *= np.minimum(1.0, self.friction * pressure / np.maximum(size, 1e-30))[:, None]
-        force = np.column_stack([shear + pressure[:, None] * self.slope, -pressure])
-        return np.concatenate([force.sum(axis=0), np.cross(self.points, force).sum(axis=0)])
+        force = self._forces(motion)
+        return np.concatenate([force.sum(axis=1), torque(self.points, force.T)])
 
-    def _shares(self) -> Array:
-        """Stiffness of each cell along the normal and along the face [N/m], (M, 2)."""
-        total = self.pressure.sum()
-        return np.outer(self.pressure / (total if total else 1.0), [self.normal_stiffness, self.shear_stiffness])
+    def changed(self, motion: Array) -> float:
+        """By how much a motion changes the forces of the cells, over the normal force."""
+        change = self._forces(motion) - self._forces(np.zeros(6))
+        return float(np.sqrt((change**2).sum(axis=0)).sum() / self.pressure.sum())
 
-    def _springs(self) -> tuple[Array, Array]:
-        """How far a motion takes each spring: along x and y (M, 2, 6), and along the normal, into the gel, (M, 6)."""
-        moved = np.zeros((len(self.points), 3, 6))  # of the object's point at each cell: v + ω × r
-        moved[:, :, :3] = np.eye(3)
+    def _forces(self, motion: Array) -> Array:
+        """On the cells [N], (3, M)."""
+        x, y, normal = self._pushed @ motion
+        pressure = np.maximum(self.pressure + normal, 0.0)
+        x, y = self.shear[:, 0] + x, self.shear[:, 1] + y
+        held = np.minimum(1.0, self.friction * pressure / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
+        return np.stack([held * x + pressure * self.slope[:, 0], held * y + pressure * self.slope[:, 1], -pressure])
+
+    @cached_property
+    def _pushed(self) -> Array:
+        """Forces of the springs by motions, along x, along y and normal, (3, M, 6)."""
+        return self.springs.T[[1, 1, 0], :, None] * self._moved
+
+    @cached_property
+    def _moved(self) -> Array:
+        """How far motions take each spring, along x, along y and normal into the gel, (3, M, 6): v + ω × r of the object's point there."""
         x, y, z = self.points.T
-        moved[:, 0, 4], moved[:, 0, 5] = z, -y
-        moved[:, 1, 3], moved[:, 1, 5] = -z, x
-        moved[:, 2, 3], moved[:, 2, 4] = y, -x
-        return moved[:, :2], np.einsum("mk,mki->mi", np.column_stack([self.slope, -np.ones(len(self.points))]), moved)
+        moved = np.zeros((3, len(x), 6))
+        moved[0, :, 0], moved[0, :, 4], moved[0, :, 5] = 1.0, z, -y
+        moved[1, :, 1], moved[1, :, 3], moved[1, :, 5] = 1.0, -z, x
+        moved[2] = self.slope[:, :1] * moved[0] + self.slope[:, 1:] * moved[1]
+        moved[2, :, 2:5] -= np.column_stack([np.ones_like(x), y, -x])
+        return moved
+
+
+def torque(points: Array, forces: Array) -> Array:
+    """Σ r × f about the origin, (3,)."""
+    arms = points.T @ forces
+    return np.array([arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]])

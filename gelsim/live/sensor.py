@@ -12,18 +12,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
-from gelsim.live.layer import Elastic, Layer, Values
-from gelsim.live.patch import ABOVE_LEAST, Patch
+from gelsim.live.layer import Elastic, Values, Window
+from gelsim.live.patch import Patch, torque
 from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import Grid
 from gelsim.optics.camera import marker_pixels
@@ -34,6 +32,7 @@ from gelsim.shape.shapes import gel_height
 from gelsim.units import MM, MM_PER_M
 
 Array = NDArray[np.float64]
+Place = tuple[slice, slice]
 
 MOST_TRAVEL_MM = 0.1
 """Of the object in one increment of friction; a longer step is cut."""
@@ -41,6 +40,10 @@ DEEPEST = 0.6
 """Indentation over thickness up to which it was measured; deeper ones are refused."""
 LOOKS = 3
 """For the place of a material point: u_t falls by half over a thickness at least, so each gains a factor of three or more."""
+RISE = 0.5
+"""Of the deepest overlap: cells over which the object is no higher are looked at, as the gel rises beside a contact."""
+WINDOW = 8
+"""Cells by which the part of the grid that is looked at grows."""
 STUCK = 0.999
 """Of the frictional bound, below which it sticks."""
 STICK = 1e3
@@ -53,16 +56,75 @@ class LiveFrame:
 
     image: NDArray[np.uint8] | None
     """8-bit sRGB, shape (H, W, 3); None without pictures."""
-    height: NDArray[np.float32]
-    """z of the coated surface over the grid's places [m], shape (rows, columns)."""
-    marker_pixels: Array
-    """(column, row) of the marker centres [px], shape (K, 2); NaN outside the picture."""
     force: Array
     """On the gel by the object [N], shape (3,); pressing gives negative z."""
     torque: Array
     """Of that force about the origin of the gel's frame [N m], shape (3,)."""
     contact: NDArray[np.bool_]
     """Where the object touches the gel, shape (rows, columns)."""
+    _sensor: LiveSensor
+    _state: State
+
+    @cached_property
+    def height(self) -> NDArray[np.float32]:
+        """z of the coated surface over the grid's places [m], shape (rows, columns); found when first looked at."""
+        return self._sensor._height(self._state)
+
+    @cached_property
+    def marker_pixels(self) -> Array:
+        """(column, row) of the marker centres [px], shape (K, 2); NaN outside the picture; found when first looked at."""
+        return self._sensor._marker_pixels(self._state)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Tractions on a window of the gel, and where its face is under them; of a gel that nothing touches the window has no cells."""
+
+    window: Window
+    place: Place
+    """Rows and columns of the grid."""
+    pressure: Values
+    """[kPa], as all here over the window's rows and columns."""
+    shear: Values
+    """(2, rows, columns) [kPa]."""
+    rest: Values
+    """Height of the gel at rest [mm]."""
+    moved: Values
+    """Displacement (3, rows, columns) [mm] of what is now over a place."""
+    anchor: Values
+    """Motion along the face at which nothing slips, (2, rows, columns) [mm]. Where it sticks it is not taken from the solution, whose
+    rounding would add up."""
+
+    @cached_property
+    def points(self) -> Array:
+        """Middles of the cells that touch, on the deformed surface [mm], (M, 3)."""
+        rows, columns = self.place
+        row, column = np.nonzero(self.pressure)
+        x, y = self.window.layer.x[columns], self.window.layer.y[rows]
+        return np.column_stack([x[column], y[row], (self.rest + self.moved[2])[row, column]])
+
+    @cached_property
+    def field(self) -> Values:
+        """Displacement over the whole grid [mm], (3, rows, columns)."""
+        whole = self.window.layer.window(self.window.layer.shape, self.window.thickness)
+        if self.pressure.size == 0:
+            return np.zeros((3, *whole.shape), np.float32)
+        return whole.moved(self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape))
+
+    def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
+        """Values of the window's cells over the whole grid; 0 elsewhere."""
+        wide = np.zeros((*values.shape[:-2], *shape), values.dtype)
+        wide[..., *self.place] = values
+        return wide
+
+    def seen(self, place: Place) -> tuple[Values, Values, Values]:
+        """Pressure, shear and anchor over another window."""
+        if place == self.place:
+            return self.pressure, self.shear, self.anchor
+        shape = self.window.layer.shape
+        anchor = self.field[:2].copy()
+        anchor[:, *self.place] = self.anchor
+        return self.over(self.pressure, shape)[place], self.over(self.shear, shape)[:, *place], anchor[:, *place]
 
 
 class LiveSensor:
@@ -86,11 +148,11 @@ class LiveSensor:
         self._scene = scene
         gel, material = scene.gel, materials.gel_material(scene)
         nu = material.poissons_ratio
-        self._layer = Layer(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+        self._layer = gel_layer.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
+        self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape).astype(np.float32) * np.float32(MM_PER_M)
         self._slope = np.stack(
             [np.gradient(self._rest, cell, axis=axis) for axis, cell in ((1, self._layer.cell[0]), (0, self._layer.cell[1]))]
         )
@@ -106,15 +168,11 @@ class LiveSensor:
 
     def reset(self) -> None:
         """Forgets the object: the gel is at rest and remembers no slip."""
-        shape = self._layer.shape
-        self._pressure, self._shear = np.zeros(shape, np.float32), np.zeros((2, *shape), np.float32)
-        self._along = np.zeros((2, *shape), np.float32)
-        # Motion along the face at which nothing slips. Where it sticks it is not taken from the solution, whose rounding would add up.
-        self._anchor = self._along
-        self._deep = self._rest
+        nothing = np.zeros((3, 0, 0), np.float32)
+        window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
+        self._state = State(window, (slice(0, 0), slice(0, 0)), nothing[0], nothing[:2], nothing[0], nothing, nothing[:2])
         self._pose: tuple[Array, Array] | None = None
         self._clear = 0.0
-        self._layer.thin(self._scene.gel.thickness_mm)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
         """Moves the object to a pose and says what the sensor sees and feels there.
@@ -133,23 +191,22 @@ class LiveSensor:
         turn, shift = _pose(pose)
         before = self._pose
         ways = [(turn, shift)]
-        if before is not None and self._pressure.any() and self._friction:
+        if before is not None and self._state.pressure.any() and self._friction:
             pieces = max(1, math.ceil(self._travel(before, (turn, shift)) / MOST_TRAVEL_MM))
             ways = [_between(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
-        last = self._room(turn, shift)  # before anything moves: a pose that is refused leaves no trace
+        last = self._seen(turn, shift)  # before anything moves: a pose that is refused leaves no trace
         for way in ways[:-1]:
-            self._move(way, self._room(*way))
+            self._move(way, self._seen(*way))
         self._move((turn, shift), last)
         return self._frame()
 
     def image(self) -> NDArray[np.uint8]:
         """The picture of the present state, 8-bit sRGB, shape (H, W, 3): for a loop that steps more often than it looks."""
-        return self._drawer.draw(self.displaced, self._spots())
+        return self._drawer.draw(self.displaced, self._spots(self._state))
 
     def marker_pixels(self) -> Array:
         """(column, row) of the marker centres in the present state [px], (K, 2); NaN outside the picture."""
-        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), self._spots())
-        return marker_pixels(self._scene, membrane)
+        return self._marker_pixels(self._state)
 
     @cached_property
     def _drawer(self) -> _Drawer:
@@ -157,121 +214,145 @@ class LiveSensor:
 
     def patch(self) -> Patch:
         """The cells that touch, and how their forces go on over a small motion: for an implicit step of a simulator around the sensor."""
-        layer, touching = self._layer, self._pressure > 0
+        layer, state = self._layer, self._state
+        touching = state.pressure > 0
         cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
-        p = self._pressure * np.float32(cell)
-        along = np.stack([p, np.zeros_like(p)])
-        total, sunk, dragged = (float(np.sum(a * b, dtype=float)) for a, b in ((p, 1.0), (p, layer.sunk(p)), (p, layer.dragged(along)[0])))
-        # (Σp)² / p·Ap: the answer to p in N as if it were kPa is in mm / (cell in N per kPa).
-        stiff = [ABOVE_LEAST * total**2 * cell / (work * MM) if total else 0.0 for work in (sunk, dragged)]
-        rows, columns = np.nonzero(touching)
+        per_metre = cell / MM  # kPa/mm to N/m
+        window = state.window
+        normal = gel_layer.punch(window.sunk, touching)
+        shear = gel_layer.punch(window.drawn, touching) if self._friction else 0 * normal
         return Patch(
-            np.column_stack([self.x[columns], self.y[rows], self._deep[touching] * MM]),
-            p[touching].astype(float),
-            (self._shear[:, touching].T * cell).astype(float),
-            self._slope[:, touching].T.astype(float),
+            state.points * MM,
+            (state.pressure[touching] * cell).astype(float),
+            (state.shear[:, touching].T * cell).astype(float),
+            self._slope[:, *state.place][:, touching].T.astype(float),
             self._friction,
-            stiff[0],
-            stiff[1] if self._friction else 0.0,
+            np.column_stack([normal[touching], shear[touching]]).astype(float) * per_metre,
         )
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
         """The farthest that a point in contact goes along the gel [mm]."""
-        rows, columns = np.nonzero(self._pressure > 0)
-        points = np.column_stack([self._layer.x[columns], self._layer.y[rows], self._deep[rows, columns]])
+        points = self._state.points
         moved = (points - one[1]) @ one[0] @ other[0].T + other[1]
         return float(np.linalg.norm(moved - points, axis=1).max())
 
-    def _room(self, turn: Array, shift: Array) -> tuple[Values, Values]:
-        """Heights of the object over the grid, and over the gel at rest [mm]."""
-        gel, heights = self._scene.gel, self._object.heights(turn, shift, self._layer.x, self._layer.y)
-        room = heights - self._rest.astype(np.float32)
-        overlap = -float(room.min())
+    def _seen(self, turn: Array, shift: Array) -> tuple[Place, Values, Values]:
+        """Rows and columns over which the object may touch; its heights over them, and over the gel at rest [mm]."""
+        layer, gel = self._layer, self._scene.gel
+        low, high = self._object.low(RISE, turn, shift)
+        rows, columns = (
+            slice(max(0, int(np.searchsorted(way, low[i])) - WINDOW // 2), min(len(way), int(np.searchsorted(way, high[i])) + WINDOW // 2))
+            for i, way in ((1, layer.y), (0, layer.x))
+        )
+        heights = self._object.heights(turn, shift, layer.x[columns], layer.y[rows])
+        room = (heights - self._rest[rows, columns]).astype(np.float32, copy=False)
+        overlap = -float(room.min(initial=math.inf))
         if overlap > DEEPEST * gel.thickness_mm:
             raise SceneError(
                 f"pose: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
                 f"{gel.thickness_mm:g} mm, so {DEEPEST * gel.thickness_mm:.2f} mm; press less deep, or use gelsim.press"
             )
-        return heights, room
+        return (rows, columns), heights, room
 
-    def _move(self, pose: tuple[Array, Array], seen: tuple[Values, Values]) -> None:
+    def _move(self, pose: tuple[Array, Array], seen: tuple[Place, Values, Values]) -> None:
         """One increment: pressure, shear and thickness that go with each other at the new pose."""
-        layer, gel = self._layer, self._scene.gel
-        (turn, shift), (heights, room) = pose, seen
-        lowest = float(room.min())
+        layer, gel, state = self._layer, self._scene.gel, self._state
+        (turn, shift), (region, heights, room) = pose, seen
+        lowest = float(room.min(initial=math.inf))
         if lowest >= 0:
             self.reset()
             self._pose, self._clear = (turn, shift), lowest
             return
-        drift: Any = np.float32(0.0)
+        place = self._place(region, room < -RISE * lowest)
+        p, q, anchor = state.seen(place)
+        inside = tuple(slice(part.start - whole.start, part.stop - whole.start) for part, whole in zip(place, region, strict=True))
+        heights, room, rest = heights[inside], room[inside], self._rest[place]
         if self._pose is not None and self._friction:
             # Where a point of the object that is now over a place came from.
-            x, y = np.meshgrid(layer.x, layer.y)
-            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)])
-            back = self._pose[0] @ turn.T
-            was = np.einsum("ij,jyx->iyx", back, here - shift[:, None, None]) + self._pose[1][:, None, None]
+            x, y = np.meshgrid(layer.x[place[1]], layer.y[place[0]])
+            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)]).reshape(3, -1) - shift[:, None]
+            drift = here[:2] - (self._pose[0] @ turn.T)[:2] @ here + (shift - self._pose[1])[:2, None]
             # Of a way that began in the air, the part from first touch on.
-            drift = (here - was)[:2].astype(np.float32) * np.float32(lowest / (lowest - self._clear))
-        anchor = self._anchor + drift
-        p, q, settled = self._pressure, self._shear, False
+            anchor = anchor + drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
+        window = layer.window(p.shape, state.window.thickness)
         for _ in range(gel_layer.ROUNDS):
             before = p
-            lifted = layer.lifted(q) if self._friction else np.float32(0.0)
-            p = gel_layer.pressure(layer, room - lifted, p)
-            sunk = layer.sunk(p) - lifted
+            lifted = window.lifted(q) if self._friction else np.float32(0.0)
+            p, gap = gel_layer.pressure(window, room - lifted, p)
             total = float(p.sum())
             if total == 0.0:  # a touch that is less than rounding
                 break
-            thickness = float((p * (gel.thickness_mm + self._rest)).sum()) / total - self._thinning * float((p * sunk).sum()) / total
-            same = abs(thickness / layer.thickness - 1) < gel_layer.SETTLED
-            settled = same and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p))
-            if settled:
+            thickness = gel.thickness_mm + float((p * (rest - self._thinning * (gap - room))).sum()) / total
+            same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
+            if same and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
                 break
             if not same:
-                layer.thin(thickness)
+                window = window.at(thickness)
             if self._friction:
-                away = layer.spread(p) - anchor
-                q = gel_layer.shear(layer, away, np.float32(self._friction) * p, q)
-        self._pressure, self._shear = p, q
-        self._along = layer.dragged(q) + layer.spread(p)
+                q = gel_layer.shear(window, window.spread(p) - anchor, np.float32(self._friction) * p, q)
+        moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK * self._friction) * p) ** 2
-        self._anchor = np.where(stuck, anchor, self._along)
-        self._deep = self._rest + layer.lifted(q) - layer.sunk(p)
+        self._state = State(window, place, p, q, rest, moved, np.where(stuck, anchor, moved[:2]))
         self._pose, self._clear = (turn, shift), 0.0
 
+    def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
+        """Rows and columns around some cells of a region: those of before, if they are enough and not too many."""
+        found = []
+        for axis, (part, now) in enumerate(zip(region, self._state.place, strict=True)):
+            cells = part.start + np.flatnonzero(near.any(axis=1 - axis))
+            first, last = int(cells[0]), int(cells[-1]) + 1
+            count = min(WINDOW * math.ceil((last - first) / WINDOW), part.stop - part.start)
+            if part.start <= now.start <= first and last <= now.stop <= part.stop and now.stop - now.start <= count + WINDOW:
+                found.append(now)
+            else:
+                start = min(max((first + last - count) // 2, part.start), part.stop - count)
+                found.append(slice(start, start + count))
+        return found[0], found[1]
+
     def _frame(self) -> LiveFrame:
-        layer = self._layer
+        layer, state = self._layer, self._state
         area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
+        touching = state.pressure > 0
+        p = state.pressure[touching]
         # Pressure acts along the normal of the gel at rest, as its work on a dome has it.
-        traction = np.stack([*(self._shear + self._pressure * self._slope), -self._pressure]).astype(np.float64) * area
-        x, y = np.meshgrid(self.x, self.y)
-        arm = np.stack([x, y, self._deep * MM])
+        tangential = state.shear[:, touching] + p * self._slope[:, *state.place][:, touching]
+        traction = np.column_stack([*tangential, -p]).astype(np.float64) * area
         return LiveFrame(
             self.image() if self._draws else None,
-            (self._deep * MM).astype(np.float32),
-            self.marker_pixels(),
-            traction.sum(axis=(1, 2)),
-            np.cross(arm, traction, axis=0).sum(axis=(1, 2)),
-            self._pressure > 0,
+            traction.sum(axis=0),
+            torque(state.points * MM, traction),
+            state.over(touching, layer.shape),
+            self,
+            state,
         )
 
-    def _spots(self) -> Array:
+    def _height(self, state: State) -> NDArray[np.float32]:
+        return ((self._rest + state.field[2]) * MM).astype(np.float32)
+
+    def _marker_pixels(self, state: State) -> Array:
+        membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), self._spots(state))
+        return marker_pixels(self._scene, membrane)
+
+    def _spots(self, state: State) -> Array:
         """Where the markers are [m], (K, 3)."""
-        return self._markers + self.displaced(self._markers[:, :2])
+        return self._markers + self._displaced(state, self._markers[:, :2])
 
     def displaced(self, places: Array) -> Array:
         """Displacements [m], (M, 3), of the material points of the surface that rest over places (M, 2) [m]."""
+        return self._displaced(self._state, places)
+
+    def _displaced(self, state: State, places: Array) -> Array:
         rest = places * MM_PER_M
         at = rest
         for _ in range(LOOKS):  # x = X + u_t(x)
-            at = rest + np.stack([self._read(self._along[axis], at) for axis in (0, 1)], axis=1)
-        height = self._read(self._deep - self._rest, at) * MM + gel_height(self._scene.gel, at * MM)
+            at = rest + self._read(state.field[:2], at).T
+        height = self._read(state.field[2], at) * MM + gel_height(self._scene.gel, at * MM)
         return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
 
-    def _read(self, values: NDArray[np.floating], at: Array) -> Array:
+    def _read(self, values: Values, at: Array) -> NDArray[np.floating]:
+        """Of the grid, (..., M), at places (M, 2) [mm]."""
         layer = self._layer
-        place = [(at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0]]
-        return map_coordinates(values, place, order=1, mode="nearest")
+        return gel_layer.between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
 
 
 class _Drawer:
@@ -310,7 +391,13 @@ def _pose(pose: ArrayLike) -> tuple[Array, Array]:
         raise SceneError(f"pose: its quaternion has the length {length:.4g}; allowed is 1 (w, x, y, z; no turn is 1, 0, 0, 0)")
     if np.abs(values[:3]).max() > 1.0:
         raise SceneError(f"pose: {values[:3].tolist()} m is over 1 m away; allowed are metres in the gel's frame, such as 0, 0, -0.0005")
-    return Rotation.from_quat(np.roll(values[3:], -1)).as_matrix(), values[:3] * MM_PER_M
+    w, x, y, z = values[3:] / length
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(turn), values[:3] * MM_PER_M
 
 
 def _between(one: tuple[Array, Array], other: tuple[Array, Array], part: float) -> tuple[Array, Array]:

@@ -10,11 +10,13 @@ Left out: what lies more than REACH_MM above the object's lowest point, and unde
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from gelsim.fem.field import MARGIN_MM, kept_field, spacing
+from gelsim.live.layer import between
 from gelsim.scene.definition import Body
 from gelsim.shape import shapes
 from gelsim.shape.mesh_file import file_stamp
@@ -25,6 +27,7 @@ Array = NDArray[np.float64]
 MAP_MM = 0.1
 """Between the map's places: half a cell of the gel."""
 TILT_DEG = 1.0
+LEVEL = math.cos(math.radians(TILT_DEG))
 REACH_MM = 6.0
 """Above the lowest point; a gel is thinner."""
 FAR_MM = 1e3
@@ -32,7 +35,9 @@ FAR_MM = 1e3
 MOST_SAMPLES = 8e6
 """Of the distance; a larger object is sampled more coarsely."""
 CORRECTIONS = 4
-"""Of a tilted map: each gains a factor of the slope times the tilt."""
+"""Of a tilted map, at most: each gains a factor of the slope times the tilt."""
+CLOSE_MM = 1e-4
+"""Motion of places by one more correction at which they end."""
 
 
 class Underside:
@@ -57,31 +62,55 @@ class Underside:
         Args:
             turn, shift: The pose, p -> turn p + shift [mm].
         """
-        if self._turn is None or (turn[2] @ self._turn[2]) < np.cos(np.radians(TILT_DEG)):
-            self._trace(turn)
-        assert self._turn is not None
-        # From the map's frame to the gel's; the remaining turn is one about z and a small tilt.
-        rest = turn @ self._turn.T
-        across = np.stack(np.meshgrid(x - shift[0], y - shift[1]))
-        level = rest[:2, :2]
-        back = np.linalg.inv(level)
-        at = np.einsum("ij,jyx->iyx", back, across)
-        tilted = np.abs(rest[2, :2]).max() > 1e-9
-        if not tilted:
-            return (self._read(at) + shift[2]).astype(np.float32)
-        for _ in range(CORRECTIONS):
-            z = self._read(at)
-            known = z < FAR_MM / 2
-            lean = np.where(known, z, 0.0) * rest[:2, 2][:, None, None]
-            at = np.einsum("ij,jyx->iyx", back, across - lean)
-        z = self._read(at)
-        turned = rest[2, 0] * at[0] + rest[2, 1] * at[1] + rest[2, 2] * z + shift[2]
+        rest = self._remaining(turn)
+        across, along = np.meshgrid(x - shift[0], y - shift[1])
+        back = np.linalg.inv(rest[:2, :2])
+
+        def look(z: Array | float) -> tuple[Array, Array, Array]:
+            """Places of the map that a height there puts over the places asked for, and the height that they have."""
+            one, other = across - rest[0, 2] * z, along - rest[1, 2] * z
+            one, other = back[0, 0] * one + back[0, 1] * other, back[1, 0] * one + back[1, 1] * other
+            return one, other, self._read(one, other)
+
+        one, other, z = look(0.0)
+        if np.abs(rest[2, :2]).max() > 1e-9:
+            for _ in range(CORRECTIONS):
+                last = np.where(z < FAR_MM / 2, z, 0.0)
+                one, other, z = look(last)
+                if np.abs(z - last).max() * (1.0 - rest[2, 2] ** 2) ** 0.5 < CLOSE_MM:
+                    break
+        turned = rest[2, 0] * one + rest[2, 1] * other + rest[2, 2] * z + shift[2]
         return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32)
 
-    def _read(self, at: Array) -> Array:
-        """Heights of the map at places (2, rows, columns) of its frame; bilinear, and FAR_MM next to what is not there."""
-        place = [(at[1] - self._first[1]) / MAP_MM, (at[0] - self._first[0]) / MAP_MM]
-        found = map_coordinates(self._map, place, order=1, mode="constant", cval=FAR_MM)
+    def low(self, share: float, turn: Array, shift: Array) -> tuple[Array, Array]:
+        """A rectangle, least and greatest (x, y) [mm], beside which the underside is higher than `share` of its depth below z = 0.
+
+        Of an object above z = 0, which has no depth, the rectangle holds its lowest point.
+        """
+        rest = self._remaining(turn)
+        lean = float(np.abs(rest[2, :2]) @ self._reach)
+        lowest = rest[2, 2] * self._lowest + shift[2] - lean
+        highest = -share * lowest if lowest < 0 else lowest + 2 * lean
+        level = (highest - shift[2] + lean) / rest[2, 2]
+        bounds = [(self._lowest, level)]
+        for first, lows in zip(self._first[::-1], self._lows, strict=True):
+            near = np.flatnonzero(lows <= level + MAP_MM)
+            bounds.insert(0, (first + MAP_MM * (near[0] - 1), first + MAP_MM * (near[-1] + 1)))
+        ends = np.array(bounds)
+        middle = rest[:2] @ ends.mean(axis=1) + shift[:2]
+        half = np.abs(rest[:2]) @ (ends[:, 1] - ends[:, 0]) / 2
+        return middle - half, middle + half
+
+    def _remaining(self, turn: Array) -> Array:
+        """From the frame of a map that serves a turn to the gel's: a turn about z and a small tilt."""
+        if self._turn is None or turn[2] @ self._turn[2] < LEVEL:
+            self._trace(turn)
+        assert self._turn is not None
+        return turn @ self._turn.T
+
+    def _read(self, x: Array, y: Array) -> Array:
+        """Heights of the map at places of its frame; bilinear, and FAR_MM next to what is not there."""
+        found = between(self._map, (y - self._first[1]) / MAP_MM, (x - self._first[0]) / MAP_MM)
         return np.where(found > self._top, FAR_MM, found)
 
     def _trace(self, turn: Array) -> None:
@@ -110,5 +139,8 @@ class Underside:
             slope = np.minimum((above - here) / 1e-3, -0.1)
             z[hit] -= np.clip(here / slope, -0.1, 0.1)
         z[z >= top] = FAR_MM
-        self._map, self._top = z.reshape(len(y), len(x)), top
-        self._turn, self._first = turn.copy(), (x[0], y[0])
+        # Its border stands for all beyond.
+        self._map, self._top = np.pad(z.reshape(len(y), len(x)), 1, constant_values=FAR_MM), top
+        self._turn, self._first = turn.copy(), (x[0] - MAP_MM, y[0] - MAP_MM)
+        self._reach = np.abs([x[[0, -1]], y[[0, -1]]]).max(axis=1)
+        self._lows, self._lowest = (self._map.min(axis=1), self._map.min(axis=0)), float(self._map.min())

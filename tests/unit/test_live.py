@@ -58,8 +58,8 @@ def test_waves_are_the_closed_form() -> None:
 
 
 def test_tractions_do_reciprocal_work() -> None:
-    layer = Layer((25.0, 20.0), GEL)
-    layer.thin(2.4)
+    grid = Layer((25.0, 20.0), GEL)
+    layer = grid.window(grid.shape, 2.4)
     rng = np.random.default_rng(1)
     p, q = rng.random(layer.shape).astype(np.float32), rng.standard_normal((2, *layer.shape)).astype(np.float32)
     one, other = -float(np.vdot(p, layer.lifted(q))), float(np.vdot(q, layer.spread(p)))
@@ -71,27 +71,26 @@ def test_tractions_do_reciprocal_work() -> None:
 def test_a_ball_on_a_layer(thickness: float, depth: float, side: float, cell: float) -> None:
     """Hertz, times the layer's factor (Dimitriadis et al. 2002, bonded, incompressible)."""
     radius = 8.0
-    layer = Layer((side, side), GEL, cell)
-    layer.thin(thickness)
-    x, y = np.meshgrid(layer.x, layer.y)
+    grid = Layer((side, side), GEL, cell)
+    layer = grid.window(grid.shape, thickness)
+    x, y = np.meshgrid(grid.x, grid.y)
     room = ((x**2 + y**2) / (2 * radius) - depth).astype(np.float32)
-    p = pressure(layer, room, np.zeros_like(room))
-    force = float(p.sum()) * layer.cell[0] * layer.cell[1]
+    p, gap = pressure(layer, room, np.zeros_like(room))
+    force = float(p.sum()) * grid.cell[0] * grid.cell[1]
     chi = np.sqrt(radius * depth) / thickness
     modulus = 2 * GEL.shear_kpa * (1 + NU)
     known = 16 / 9 * modulus * np.sqrt(radius) * depth**1.5 * (1 + 1.133 * chi + 1.283 * chi**2 + 0.769 * chi**3 + 0.0975 * chi**4)
     assert force == pytest.approx(known, rel=LAYER_ERROR)
-    gap = room + layer.sunk(p)
+    assert np.allclose(gap, room + layer.sunk(p), rtol=0, atol=1e-4 * depth)  # single precision, summed over the steps
     assert p.min() >= 0 and gap.min() > -0.01 * depth and np.abs(gap[p > 0]).max() < 0.01 * depth
-    layer.thin(0.6 * thickness)
-    stiffer = pressure(layer, room, np.zeros_like(room)).sum() / p.sum() - 1
+    stiffer = pressure(layer.at(0.6 * thickness), room, np.zeros_like(room))[0].sum() / p.sum() - 1
     assert stiffer > 1.133 * chi * (1 / 0.6 - 1)  # planted: a thinner gel is seen
 
 
 def test_slip_opposes_and_stays_below_its_bound() -> None:
-    layer = Layer((12.0, 12.0), GEL)
-    layer.thin(2.4)
-    x, y = np.meshgrid(layer.x, layer.y)
+    grid = Layer((12.0, 12.0), GEL)
+    layer = grid.window(grid.shape, 2.4)
+    x, y = np.meshgrid(grid.x, grid.y)
     bound = np.maximum(1 - (x**2 + y**2) / 4, 0).astype(np.float32)
     none = np.zeros((2, *layer.shape), np.float32)
     for drawn in (0.005, 0.5):
@@ -106,6 +105,81 @@ def test_slip_opposes_and_stays_below_its_bound() -> None:
             assert np.abs(slip[:, held & (bound > 0)]).max() < 0.05 * drawn
         assert (slip * q).sum(axis=0)[sliding].max() <= 1e-4 * drawn
     assert q.sum(axis=(1, 2))[0] == pytest.approx(bound.sum(), rel=0.02)  # it slides: all of μN
+
+
+@pytest.mark.parametrize("shape", [(24, 32), (24, 100), (70, 100)])
+def test_a_window_answers_as_the_whole_layer(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tractions on some rows and columns, by matrices or FFT: sums of some 1e3 terms in single precision, whose errors add up to 1e-5."""
+    grid = Layer((25.0, 20.0), GEL)
+    rng = np.random.default_rng(2)
+    p, q = rng.random(shape).astype(np.float32), rng.standard_normal((2, *shape)).astype(np.float32)
+    wide = np.zeros((3, *grid.shape), np.float32)
+    wide[:, : shape[0], : shape[1]] = [p, *q]
+    known = grid.window(grid.shape, 2.345).moved(wide[0], wide[1:])[:, : shape[0], : shape[1]]
+
+    def apart() -> float:
+        part = grid.window(shape, 2.345)
+        alone = np.stack([*(part.dragged(q) + part.spread(p)), part.lifted(q) - part.sunk(p)])
+        assert np.allclose(part.drawn(q[0]), part.dragged(np.stack([q[0], 0 * q[0]]))[0], atol=1e-5)
+        return max(float(np.abs(found - known).max() / np.abs(known).max()) for found in (part.moved(p, q), alone))
+
+    assert apart() < 1e-5
+    padded = gel_layer._waves_of
+    monkeypatch.setattr(gel_layer, "_waves_of", lambda count, whole: padded(count, whole - 8))  # planted: its images are too near
+    if shape != (70, 100):
+        monkeypatch.setattr(Layer, "_node", lambda self, shape, node, held=Layer._node: held(self, (shape[0] - 8, shape[1] - 8), node))
+        assert apart() > 1e-5
+
+
+def test_answers_between_two_thicknesses() -> None:
+    """Of one, as of a node that lies there: the softest wave's answer goes as h³, so 1 % apart by (0.01)² 9 / 8 = 1.1e-4 at most."""
+    grid = Layer((25.0, 20.0), GEL)
+    between = grid.window(grid.shape, (1 + gel_layer.NODES) ** 88.5).answers
+    known = Layer((25.0, 20.0), GEL)._node(grid.shape, 88), Layer((25.0, 20.0), GEL)._node(grid.shape, 89)
+    for answer, low, high in zip(between, *known, strict=True):
+        geometric = np.sign(low) * np.sqrt(np.maximum(low * high, 0.0))  # exact for any power of h
+        assert np.abs(answer - geometric).max() < 1.2e-4 * np.abs(low).max()
+
+
+@pytest.mark.parametrize("friction", [0.5, "stick"])
+def test_what_is_looked_at_holds_the_contact(friction: float | str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flat ball, pressed and drawn along, before which the gel rises: cells that are not looked at would stay without pressure."""
+
+    def walk(rise: float) -> tuple[LiveFrame, float]:
+        monkeypatch.setattr("gelsim.live.sensor.RISE", rise)
+        sensor = LiveSensor(scene(friction, radius_mm=12.0, height_mm=12.0), image=False)
+        for x, z in ((0.0, -0.5), (0.0, -1.0), (0.4, -1.0), (0.8, -1.0)):
+            frame = at(sensor, x, 0.0, z)
+        x, y = np.meshgrid(sensor.x, sensor.y)
+        room = 11e-3 - np.sqrt(np.maximum(12e-3**2 - (x - 0.8e-3) ** 2 - y**2, 0.0))
+        return frame, float(room[frame.contact].max()) / 1e-3
+
+    (frame, highest), (wide, _) = walk(0.5), walk(2.0)
+    assert 0.05 < highest < 0.35  # of the deepest overlap
+    assert np.allclose(frame.force, wide.force, rtol=0, atol=2e-3 * np.abs(wide.force).max())  # gel_layer.SETTLED
+    assert np.array_equal(frame.contact, wide.contact)
+    assert not np.array_equal(walk(0.0)[0].contact, wide.contact)  # planted: where they overlap at rest, and no more
+
+
+def test_the_search_for_friction_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pressed, drawn along until nearly all slips, and lifted: a search takes 25 products at most, of STEPS that it may."""
+    sensor, counts = LiveSensor(scene(0.5), image=False), [0]
+    search, product = gel_layer.shear, gel_layer.Window.dragged
+    monkeypatch.setattr(gel_layer, "shear", lambda *given: (counts.append(0), search(*given))[1])
+
+    def counted(self: gel_layer.Window, q: np.ndarray) -> np.ndarray:
+        counts[-1] += 1
+        return product(self, q)
+
+    monkeypatch.setattr(gel_layer.Window, "dragged", counted)
+    way = [(0.06 * i, -0.12 * i) for i in range(7)] + [(0.36 + 0.05 * i, -0.72) for i in range(12)]
+    way += [(0.9, -0.72 + 0.1 * i) for i in range(7)]
+    for x, z in way:
+        at(sensor, x, 0.0, z)
+    assert max(counts) <= 25
+    monkeypatch.setattr(gel_layer, "SLIP_TOLERANCE", 1e-9)  # planted: below rounding
+    at(sensor, 0.9, 0.0, -0.2)
+    assert max(counts) > 25
 
 
 def test_mirrored_poses_give_mirrored_answers() -> None:
@@ -206,7 +280,8 @@ def test_force_beside_finite_elements() -> None:
     for depth in press.approach[1:]:
         frame = at(sensor, 0, 0, -1e3 * float(depth))
     assert frame.force[2] == pytest.approx(press.force[-1][2], rel=0.05)
-    sensor._layer.material = Elastic(1.1 * sensor._layer.material.shear_kpa, NU)  # planted: a gel a tenth stiffer
+    stiffer = Elastic(1.1 * sensor._layer.material.shear_kpa, NU)
+    sensor._layer = Layer(given.gel.size_mm, stiffer)  # planted: a gel a tenth stiffer
     sensor.reset()
     assert at(sensor, 0, 0, -0.6).force[2] != pytest.approx(press.force[-1][2], rel=0.05)
 

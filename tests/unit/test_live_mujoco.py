@@ -31,10 +31,10 @@ def scene(friction: float) -> Scene:
     )
 
 
-def world(friction: float, *, mass: float = 0.01, height: float = 0.0, free_pad: bool = False, step: float = 0.002) -> Touch:
+def world(friction: float, *, mass: float = 0.01, height: float = 0.0, free_pad: bool = False, period: float = 0.0) -> Touch:
     """A ball over a gel that looks up, at a height [m] of its lowest point; gravity only if the gel is fixed."""
     spec = mujoco.MjSpec()
-    spec.option.timestep = step
+    spec.option.timestep = 0.002
     ball = spec.worldbody.add_body(name="ball", pos=[0, 0, RADIUS + height])
     ball.add_freejoint()
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=mass)
@@ -45,7 +45,7 @@ def world(friction: float, *, mass: float = 0.01, height: float = 0.0, free_pad:
         holder.add_geom(size=[RADIUS, 0, 0], pos=[0, 0, -0.02], mass=mass, contype=0, conaffinity=0)
     add_pad(spec, holder, "pad", scene(friction), against="ball")
     model = spec.compile()
-    return Touch(model, mujoco.MjData(model), [Pad(model, "pad", "ball", scene(friction))])
+    return Touch(model, mujoco.MjData(model), [Pad(model, "pad", "ball", scene(friction))], period)
 
 
 def place(touch: Touch, x: float, y: float, z: float) -> float:
@@ -90,11 +90,12 @@ def test_forces_are_equal_and_opposite(monkeypatch: pytest.MonkeyPatch) -> None:
     assert linear > 0.1 * exchanged
 
 
-def test_a_ball_comes_to_rest_at_its_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("period", [0.0, 0.02])
+def test_a_ball_comes_to_rest_at_its_weight(period: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within 2 %, in steps of 2 ms, and never as high again as it fell from; with an explicit force it still jumps."""
 
     def fall() -> tuple[float, float]:
-        touch = world(0.5, mass=0.005, height=3e-4)
+        touch = world(0.5, mass=0.005, height=3e-4, period=period)
         heights = [float(touch.data.qpos[2])]
         for _ in range(300):
             touch.step()
@@ -111,7 +112,7 @@ def test_a_ball_comes_to_rest_at_its_weight(monkeypatch: pytest.MonkeyPatch) -> 
     assert off < 0.02 and moving < 5e-6
     wrench = Patch.wrench
     monkeypatch.setattr(Patch, "wrench", lambda self, motion: wrench(self, 0 * motion))
-    monkeypatch.setattr(Patch, "stiffness", lambda self: np.zeros((6, 6)))
+    monkeypatch.setattr(Patch, "stiffness", np.zeros((6, 6)))
     with pytest.raises(AssertionError):  # planted
         off, moving = fall()
         assert off < 0.02 and moving < 5e-6
@@ -150,12 +151,15 @@ def test_a_micrometre_changes_the_force_by_twice_its_stiffness_at_most(friction:
         assert np.ptp(forces) > 0.5 * stiff * np.ptp(moves)  # it does answer
 
 
-def shaken(steps: int) -> tuple[float, float]:
-    """A ball on a gel, thrown about by random forces like its weight: share of the steps in touch, highest speed [m/s]."""
-    touch = world(0.5, mass=0.005)
+def shaken(steps: int, period: float = 0.0, turns: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A ball on a gel, thrown about by random forces like its weight: places [m], speeds [m/s], forces on the gel [N]; (steps, 3) each.
+
+    Without `turns` it is so heavy to turn that it does not roll.
+    """
+    touch = world(0.5, mass=0.005, period=period)
     rng, ball = np.random.default_rng(2), touch.model.body("ball").id
-    touch.model.dof_damping[3:6] = 2e-6
-    touched, fastest, push = 0, 0.0, np.zeros(3)
+    touch.model.dof_damping[3:6] = 2e-6 if turns else 1e3
+    found, push = np.zeros((3, steps, 3)), np.zeros(3)
     for step in range(steps):
         if step % 25 == 0:
             push = rng.normal(size=3) * [0.02, 0.02, 0.04]
@@ -163,16 +167,51 @@ def shaken(steps: int) -> tuple[float, float]:
         # a soft spring to the middle of the gel keeps it there
         touch.data.xfrc_applied[ball, :3] = push - 20 * (touch.data.qpos[:3] - [0, 0, RADIUS]) - 0.2 * touch.data.qvel[:3]
         touch.step()
-        assert np.isfinite(touch.data.qpos).all() and np.isfinite(touch.pads[0].wrench).all()
-        touched += bool(touch.pads[0].wrench.any())
-        fastest = max(fastest, float(np.linalg.norm(touch.data.qvel[:3])))
-    return touched / steps, fastest
+        found[:, step] = touch.data.qpos[:3], touch.data.qvel[:3], touch.pads[0].wrench[:3]
+    return found[0], found[1], found[2]
 
 
-@pytest.mark.parametrize("seconds", [0.4, pytest.param(3, marks=pytest.mark.slow)])
-def test_random_motion_stays_finite(seconds: float) -> None:
-    touched, fastest = shaken(round(500 * seconds))
-    assert touched > 0.2 and fastest < 1.0
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(("seconds", "turns"), [(0.4, True), pytest.param(3, True, marks=SLOW), pytest.param(600, False, marks=SLOW)])
+def test_random_motion_stays_finite(seconds: float, turns: bool) -> None:
+    """Ten minutes without turning, 12 minutes of a processor: each degree of a roll needs a map of its own."""
+    _, speeds, forces = shaken(round(500 * seconds), 0.0 if turns else 0.02, turns)
+    assert np.isfinite(forces).all() and np.linalg.norm(speeds, axis=1).max() < 1.0
+    assert forces.any(axis=1).mean() > 0.2
+
+
+def gained(places: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Of each touch, from air to air: the work of the gel on the ball over that of the ball on the gel, which is 1 if nothing is lost."""
+    work = -(forces[1:] * np.diff(places, axis=0)).sum(axis=1)  # a step's force is constant in it
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], forces[1:].any(axis=1), [0]]).astype(int)))
+    touches = [work[first:last] for first, last in ends.reshape(-1, 2)]
+    return np.array([np.maximum(touch, 0).sum() / max(-np.minimum(touch, 0).sum(), 1e-12) for touch in touches])
+
+
+@pytest.mark.parametrize("seconds", [1.0, pytest.param(10, marks=SLOW)])
+def test_no_touch_of_a_random_motion_gains_energy(seconds: float) -> None:
+    """Each touch gives back no more than it got, within 1 %; of 2052 in ten minutes 5 gave back more, whose energy is not known."""
+    places, _, forces = shaken(round(500 * seconds), 0.02, turns=False)
+    back = gained(places, forces)
+    assert len(back) > 2 * seconds and back.max() < 1.01
+    forces[1:][np.diff(places[:, 2]) > 0] *= 1.5  # planted: pushed out harder
+    assert gained(places, forces).max() > 1.01
+
+
+def test_between_its_answers_a_gel_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asked each step, or once in 20 ms: while cells change by a tenth their stiffness, of which a third may be amiss, leaves 3 %."""
+    *_, known = shaken(150)
+    rms = float(np.sqrt((known**2).mean()))
+
+    def off() -> float:
+        return float(np.sqrt(((shaken(150, 0.02)[2] - known) ** 2).mean())) / rms
+
+    assert off() < 0.03
+    monkeypatch.setattr("gelsim.live.mujoco.CHANGE", np.inf)  # planted: once in 20 ms, whatever moves
+    with pytest.raises((AssertionError, SceneError)):
+        assert off() < 0.03
 
 
 def test_bad_input_is_refused_in_one_line() -> None:

@@ -29,7 +29,7 @@ def test_a_motion_of_nothing_gives_the_frames_wrench(profile: str) -> None:
     wrench = patch.wrench(np.zeros(6))
     assert np.allclose(wrench[:3], frame.force, rtol=0, atol=1e-5 * np.abs(frame.force).max())  # single precision sums
     assert np.allclose(wrench[3:], frame.torque, rtol=0, atol=1e-5 * np.abs(frame.torque).max())
-    stiff = patch.stiffness()
+    stiff = patch.stiffness
     assert np.allclose(stiff, stiff.T) and np.linalg.eigvalsh(stiff).min() > -1e-12 * stiff.max()  # it resists every motion
     small = np.array([1e-9, -2e-9, -3e-9, 1e-7, 2e-7, 1e-7])  # on a flat gel at rest nothing slips, so its bounds do not matter
     if profile == "flat":
@@ -37,22 +37,22 @@ def test_a_motion_of_nothing_gives_the_frames_wrench(profile: str) -> None:
         still.step((0, 0, -0.4e-3, *UPRIGHT), 0.01)
         stuck = still.patch()
         change = stuck.wrench(small) - stuck.wrench(np.zeros(6))
-        assert np.allclose(change, stuck.stiffness() @ small, rtol=0, atol=0.02 * np.abs(change).max())
+        assert np.allclose(change, stuck.stiffness @ small, rtol=0, atol=0.02 * np.abs(change).max())
     assert not sensor(0.5).patch().wrench(np.zeros(6)).any()
 
 
 @pytest.mark.parametrize(("radius", "depth"), [(3.0, 0.1), (3.0, 1.2), (8.0, 0.3), (8.0, 1.2)])
 def test_stiffness_is_over_half_of_the_true_one(radius: float, depth: float) -> None:
-    """Under half of it a linearly implicit step can grow; 0.75 to 1.2 is what ABOVE_LEAST says."""
+    """Under half of it a linearly implicit step can grow; 0.7 to 1.25 was found: less where the layer thins, more where the rim slips."""
     found, move = sensor(0.5, radius), 0.01  # [mm]
     start = (0, 0, -depth * 1e-3, *UPRIGHT)
     before = found.step(start, 0.01).force
-    stiff = found.patch().stiffness()
+    stiff = found.patch().stiffness
     down = (found.step((0, 0, -(depth + move) * 1e-3, *UPRIGHT), 0.01).force - before)[2] / (move * 1e-3)
     found.step(start, 0.01)
     aside = (found.step((move * 1e-3, 0, -depth * 1e-3, *UPRIGHT), 0.01).force - before)[0] / (move * 1e-3)
-    assert 0.75 < stiff[2, 2] / -down < 1.2
-    assert 0.75 < stiff[0, 0] / aside < 1.25
+    assert 0.7 < stiff[2, 2] / -down < 1.15
+    assert 0.9 < stiff[0, 0] / aside < 1.3
 
 
 def test_it_neither_pulls_nor_exceeds_friction() -> None:
