@@ -87,7 +87,7 @@ class Problem:
         seen, drawn = gaussian_filter(self.recording.change, blur), gaussian_filter(drawn, blur)
         likeness = fftconvolve(seen, drawn[:, ::-1, ::-1], mode="same", axes=(1, 2)).sum(axis=(0, 3))
         row, column = np.unravel_index(int(likeness.argmax()), likeness.shape)
-        shift = np.array([[column - (wide - 1) // 2, row - (high - 1) // 2]])
+        shift = np.array([[column - (wide - 1) // 2, row - (high - 1) // 2]], float)
         return np.asarray(self.camera.places_mm(middle[:1] + shift) - self.camera.places_mm(middle[:1]), float)[0]
 
     def start(self, pressed: Pressed, approach_mm: Array) -> Fit:

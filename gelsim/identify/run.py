@@ -1,7 +1,7 @@
 """`gelsim identify`: reads a recording, finds where and how stiff the object is, and writes what it found beside what was seen.
 
 The search begins with presses at `fast` of moduli spread over the scale, each picture at the approach that suits it best; the best of them
-is where least squares begin (`fit`), first at `fast`, then at the scene's fidelity, until modulus and place stay.
+is where least squares begin (`fit`), once at `fast`, then at the scene's fidelity until modulus and place stay.
 """
 
 from __future__ import annotations
@@ -78,11 +78,10 @@ def identify(
     place = _place(camera, recording)
     log_modulus, place, approach = _search(problem, scene, place, device, show)
     coarse = scene.replace(fidelity="fast", target_error=None, target_membrane_um=None)
-    fit = None
-    for stage in [coarse] if scene.fidelity == "fast" else [coarse, scene]:
-        fit = _settle(problem, stage, log_modulus, place, approach, device, show)
+    if scene.fidelity != "fast":
+        fit = _settle(problem, coarse, log_modulus, place, approach, device, show, rounds=1)
         log_modulus, place, approach = fit.log_modulus, fit.place_mm, fit.approach_mm
-    assert fit is not None
+    fit = _settle(problem, scene, log_modulus, place, approach, device, show)
     return _report(fit, recording, scene)
 
 
@@ -162,11 +161,13 @@ def _search(problem: Problem, scene: Scene, place: Array, device: str, show: Pro
     return log_modulus, place, approach
 
 
-def _settle(problem: Problem, scene: Scene, log_modulus: float, place: Array, approach: Array, device: str, show: Progress) -> Fit:
+def _settle(
+    problem: Problem, scene: Scene, log_modulus: float, place: Array, approach: Array, device: str, show: Progress, *, rounds: int = ROUNDS
+) -> Fit:
     """Rounds of presses and least squares."""
     low, high = (float(np.log(modulus_from_shore_00(shore) / 1e3)) for shore in BOUNDS)
-    for number in range(ROUNDS):
-        show(f"fit at {scene.fidelity}", number, ROUNDS)
+    for number in range(rounds):
+        show(f"fit at {scene.fidelity}", number, rounds)
         log_modulus = float(np.clip(log_modulus, low, high))
         pressed = press_at(scene, log_modulus, _rounded(place), 1.2 * float(approach.max()) + 0.1, device)
         fit = problem.solve(problem.start(pressed, np.clip(approach, LEAST_MM, pressed.deepest_mm)))
@@ -174,7 +175,7 @@ def _settle(problem: Problem, scene: Scene, log_modulus: float, place: Array, ap
         log_modulus, place, approach = fit.log_modulus, fit.place_mm, fit.approach_mm
         if abs(fit.change) < STILL[0] and np.abs(fit.shift_mm).max() < STILL[1] and not at_end:
             break
-    show(f"fit at {scene.fidelity}", ROUNDS, ROUNDS)
+    show(f"fit at {scene.fidelity}", rounds, rounds)
     return fit
 
 
