@@ -51,11 +51,13 @@ PLACES = (20, 15)
 SPLINES = (9, 8)
 """Cubic B-splines over x and y in the fit."""
 TILE_SPP, TILE_PICTURES = 16, 3
+"""Baked pictures of a Mini's six strips are 39.5 dB from traced ones, with 4 paths a pixel 34.6, with 64 40.2 (in twice the time)."""
 HEIGHTS_MM = (-0.4, -2.0)
 """Of the two layers; a dome's rim and a deep dent reach 3 mm."""
 RANK_LEFT = 3e-3
-PROBES, PROBE_SPP = 6, 64
-UNSEEN, UNSEEN_SPP = 8, 256
+PROBES, PROBE_SPP = 6, 16
+UNSEEN, UNSEEN_SPP = 8, 32
+"""Paths of each of two pictures of a membrane, whose noise is not the other's."""
 PROBE_RESOLUTION = 240
 
 AFTER_LIGHT = (
@@ -309,12 +311,11 @@ def _small(scene: Scene, mode: str, spp: int) -> Scene:
 def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> LightField:
     small = _small(scene, "path", PROBE_SPP)
     membranes = [rest_membrane(small), *(bumpy_membrane(small, seed) for seed in range(PROBES - 1))]
-    drawn = {}
-    for mode in ("path", "direct"):
-        renderer = Renderer(_small(scene, mode, PROBE_SPP), variant)
-        drawn[mode] = []
-        for membrane in membranes:
-            drawn[mode].append(renderer.radiance(membrane))
+    renderers = [Renderer(_small(scene, mode, PROBE_SPP), variant) for mode in ("path", "direct")]
+    traced, direct = [], []
+    for membrane in membranes:
+        for drawn, radiance in zip((traced, direct), Renderer.radiances(renderers, membrane, scene.seed), strict=True):
+            drawn.append(radiance)
             tick()
     unit = BakedRenderer(small, replace(light_field, gains=np.ones(3, np.float32)), variant)
     bare = BakedRenderer(small, light_field, variant, indirect=False)
@@ -326,10 +327,10 @@ def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField,
     count = basis.shape[1]
     matrix, right = np.zeros((3, count + 1, count + 1)), np.zeros((3, count + 1))
     # In units of the picture's own brightness, so that the ridge below means the same for estimate and splines.
-    unit_of = float(np.mean(drawn["direct"]))
+    unit_of = float(np.mean(direct))
     for number, membrane in enumerate(membranes):
         estimate = unit.radiance(membrane) - bare.radiance(membrane)
-        wanted = drawn["path"][number] - drawn["direct"][number]
+        wanted = traced[number] - direct[number]
         for channel in range(3):
             columns = np.column_stack([estimate[..., channel].ravel() / unit_of, 0.1 * basis])
             matrix[channel] += columns.T @ columns
@@ -352,11 +353,11 @@ def _measure_error(scene: Scene, variant: VariantChoice, light_field: LightField
     squared, distances, levels = [], [], []
     for seed in range(UNSEEN):
         membrane = dented_membrane(small, seed)
-        pair = [develop(quiet, renderer.radiance(membrane)) for renderer in (traced, baked)]
-        difference = np.abs(pair[0].astype(float) - pair[1])
-        squared.append(np.mean(difference**2))
-        levels.append(difference.ravel())
-        distances.append(colour_difference(*pair).ravel())
+        light = [traced.radiance(membrane, seed=number) for number in (0, 1)]
+        one, other, whole, drawn = (develop(quiet, picture) for picture in (*light, np.mean(light, axis=0), baked.radiance(membrane)))
+        squared.append(np.mean((one.astype(float) - drawn) * (other.astype(float) - drawn)))  # their noise has no mean in it
+        levels.append(np.abs(whole.astype(float) - drawn).ravel())
+        distances.append(colour_difference(whole, drawn).ravel())
         tick()
     all_levels, all_distances = np.concatenate(levels), np.concatenate(distances)
     return {
