@@ -1,15 +1,20 @@
 """A modulus found again from pictures alone, and with force: `gelsim identify` on presses that other meshes and another renderer made.
 
     OMP_NUM_THREADS=2 python docs/studies/identify.py [--out out/identify-study] [--truth reference] [--fidelity balanced] [--only NAME]
+    OMP_NUM_THREADS=2 python docs/studies/identify.py --photos ../shared/real/mini_markers --fidelity fast
 
 The recordings: pressed at `reference`, traced (`path`), with camera noise; approach, place and hardness are told to nobody. What is said
 is compared with what was pressed. Rows marked "wrong" are told something that is not so, to show what that costs.
+
+`--photos`: photographs of a real GelSight Mini under a steel ball of R 2.5 mm, those kept for testing (`contacts.csv`), each with the
+picture without contact as a recording of its own; steel must read as hard as the scale goes, or be at its end.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -94,6 +99,26 @@ def row(name: str, case: dict[str, Any], folder: Path, fidelity: str, with_force
     }  # fmt: skip
 
 
+def photographed(photos: Path, out: Path, fidelity: str, most: int) -> None:
+    """Prints what is said of a steel ball in real photographs, a line each."""
+    with open(photos / "contacts.csv", newline="") as file:
+        names = [line["file"] for line in csv.DictReader(file) if line["half"] == "test"][:most]
+    scene = build_scene(
+        {"sensor": {"preset": "gelsight_mini_markers"}, "object": {"shape": "hemisphere", "radius_mm": 2.5}, "fidelity": fidelity},
+        {"contact": STICKY},
+    )
+    for name in names:
+        folder = out / "photos" / Path(name).stem
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copy(photos / "no_contact.png", folder / "0.png")
+        shutil.copy(photos / name, folder / "1.png")
+        begin, said = time.process_time(), identify(folder, scene)
+        last = said["pictures"][-1]
+        hard = f"Shore 00 {said['shore_00'] or float('nan'):.1f}, E {said['youngs_modulus_kpa']:.0f} kPa"
+        pressed = f"{last['approach_mm']:.2f} mm, {last['force_n']:.2f} N, {100 * said['unexplained']:.0f} % not explained"
+        print(f"{name}: {hard}, {pressed}, {time.process_time() - begin:.0f} s", flush=True)
+
+
 def main(out: Path, truth: str, fidelity: str, only: str | None) -> None:
     """Prints a line a case, and writes identify.csv."""
     rows = []
@@ -118,5 +143,10 @@ if __name__ == "__main__":
     parser.add_argument("--truth", default="reference", choices=("fast", "balanced", "reference"))
     parser.add_argument("--fidelity", default="balanced", choices=("fast", "balanced", "reference"))
     parser.add_argument("--only", choices=tuple(CASES))
+    parser.add_argument("--photos", type=Path)
+    parser.add_argument("--most", type=int, default=4, help="photographs at most")
     options = parser.parse_args()
+    if options.photos:
+        photographed(options.photos, options.out, options.fidelity, options.most)
+        raise SystemExit
     main(options.out, options.truth, options.fidelity, options.only)

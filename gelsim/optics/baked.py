@@ -326,9 +326,10 @@ def light_pieces(scene: Scene) -> NDArray[np.float64]:
         # The side that lies more along the gel's sight of the light is cut; the other is the piece's height.
         for share in (np.arange(PIECES) + 0.5) / PIECES * 2 - 1:
             centre = pose[:3, 3] + share * pose[:3, 0]
-            distance = max(np.hypot(*centre[:2]), 1e-6)
-            toward = -centre[:2] / distance
-            tall = abs(pose[2, 1] - pose[:2, 1] @ toward * (-centre[2] / distance))
+            distance = np.hypot(*centre[:2])
+            # A lamp behind the middle is seen alike from all sides.
+            toward = -centre[:2] / distance if distance > 1e-6 else np.array([1.0, 0.0])
+            tall = abs(pose[2, 1] - pose[:2, 1] @ toward * (-centre[2] / max(distance, 1e-6)))
             inside = np.all(np.abs(centre[:2]) < half + 1.0)
             seen = (corners - centre[:2]) @ np.array([[toward[0], -toward[1]], [toward[1], toward[0]]])
             angles = [-np.pi, np.pi] if inside else np.array([-1, 1]) * (np.abs(np.arctan2(seen[:, 1], seen[:, 0])).max() + 0.01)

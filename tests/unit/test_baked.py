@@ -169,6 +169,15 @@ def test_shadow_of_a_ridge(variant, monkeypatch):
     assert edge_shift(BakedRenderer(scene, even_field(), variant, indirect=False).radiance(membrane)) > 1.5 * edge_shift(picture)
 
 
+def test_a_lamp_behind_the_middle_has_distances_like_others():
+    """Its middle piece lies in no direction from the gel's centre; the places where its shadows are sought ran through distance 0."""
+    behind = Light("behind", (0.0, 0.0, -40.0), (0.0, 0.0, 1.0), (6.0, 6.0))
+    pieces = baked.light_pieces(flat_scene(lights=Lights((behind,))))
+    assert np.isfinite(pieces).all() and np.hypot(pieces[:, 4], pieces[:, 5]) == pytest.approx(1.0)
+    farthest = pieces[:, 8] + (baked.STEPS - 1) / pieces[:, 9]
+    assert (pieces[:, 8] > 0).all() and (farthest >= np.hypot(4.0, 4.0)).all()  # all of the gel
+
+
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.name)
 def test_light_from_a_long_ramp(variant):
     """Beside a ramp that shines everywhere with L = 1 the horizontal surface receives E/π = (1 - cos α)/2, α the ramp's elevation."""
