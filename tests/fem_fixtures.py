@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gelsim.bench.structured import box_mesh, flat_gel, quarter_disc, soft_cap
 from gelsim.errors import SolveStatus
 from gelsim.fem.equilibrium import equilibrium, residual_of, solids_of, tangent_of
-from gelsim.fem.problem import PressProblem
+from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.geometry import QuadraticSurface, TetMesh, mirror, mirror_surface
 from gelsim.results import Deformation
@@ -56,9 +56,8 @@ def ball_scene(depth_mm: float, frames: int, nu: float = 0.499, friction: float 
 
 def problem_of(scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, **points: Any) -> PressProblem:
     surface = body if isinstance(body, QuadraticSurface) else body.surface("contact")
-    gel_material, object_material = materials.gel_material(scene), materials.object_material(scene)
-    given = scene, gel, body, shapes.placement(scene, surface), gel_material, object_material, "cpu"
-    problem = PressProblem(*given, tolerance=TOLERANCE, **points)
+    given = scene, gel, body, shapes.placement(scene, surface), materials.press_materials(scene), "cpu"
+    problem = PressProblem(*given, Numerics(tolerance=TOLERANCE, **points))
     # Contact multipliers take over from a rough solution, so how rough it is shows in the end: with rough steps a whole ball and its
     # quarter differ by up to 0.9 µm of 300.
     problem.options = replace(problem.options, exact_after=0)

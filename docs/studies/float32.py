@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gelsim.bench.presses import ball
 from gelsim.fem.elements import tet10_gradient, tet_quadrature
-from gelsim.fem.problem import PressProblem
+from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.reference import volume_change
 from gelsim.geometry import TET_EDGES
@@ -85,7 +85,7 @@ def rounded_state(nu: float) -> tuple[float, float]:
     """Imbalance of a solved press, and of the same with its state rounded to float32."""
     scene = build_scene(ball(nu) | {"fidelity": "fast", "press": ball(nu)["press"] | {"frames": 3, "depth_mm": 0.5}})
     gel, body, placement = stages.bodies(scene)
-    problem = PressProblem(scene, gel, body, placement, materials.gel_material(scene), None, "cpu", tolerance=1e-9)
+    problem = PressProblem(scene, gel, body, placement, materials.press_materials(scene), "cpu", Numerics(tolerance=1e-9))
     run_press(problem)
     problem.newton.solve(1.0)  # the march ends by moving the multipliers
     before = problem.newton.residual(1.0).imbalance

@@ -21,7 +21,7 @@ import numpy as np
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.bench.structured import Array, quarter_disc
 from gelsim.errors import SolveError, SolveStatus
-from gelsim.fem.problem import PressProblem
+from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.strategy import HELD
 from gelsim.geometry import TetMesh, quadratic_faces
@@ -72,8 +72,8 @@ def platen_curve(friction: float | str, ratio: float) -> tuple[Array, Array]:
     platen = quadratic_faces(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32))
     material = ElasticMaterial.from_modulus(100e3, 0.499, "yeoh", (ratio, 0.0)) if ratio else ElasticMaterial.from_modulus(100e3, 0.499)
     # where friction lets the rim roll onto the platen its tets are crushed to det F = 0.2, and fold where volume is held at vertices alone
-    held = {"contact_points": HELD.contact_points, "held": HELD.held}
-    press = run_press(PressProblem(scene, specimen(), platen, (np.eye(3), np.zeros(3)), material, None, "cpu", **held), throw=False)
+    held = Numerics(contact_points=HELD.contact_points, held=HELD.held)
+    press = run_press(PressProblem(scene, specimen(), platen, (np.eye(3), np.zeros(3)), [material], "cpu", held), throw=False)
     strain = press.approach / (HEIGHT_MM / 2 * MM)
     if press.status is not SolveStatus.CONVERGED and strain[-1] < STRAINS[1]:
         raise SolveError(f"cylinder between platens, friction {friction}, c₂/c₁ {ratio}: stopped {press.message}", press)

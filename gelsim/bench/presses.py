@@ -93,5 +93,5 @@ def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:
     """
     made = build_scene(scene)
     gel, body, placement = stages.bodies(made)
-    problem = PressProblem(made, gel, body, placement, materials.gel_material(made), materials.object_material(made), "cpu")
+    problem = PressProblem(made, gel, body, placement, materials.press_materials(made), "cpu")
     return problem, run_press(problem, throw=False)

@@ -154,7 +154,7 @@ def _spoiled(scene: Layer) -> Row:
     gel, body, placement = stages.bodies(made)
     assert isinstance(body, TetMesh)
     meshes = [spoil(mesh, np.random.default_rng(5)) for mesh in (gel, body)]
-    problem = PressProblem(made, meshes[0], meshes[1], placement, materials.gel_material(made), materials.object_material(made), "cpu")
+    problem = PressProblem(made, meshes[0], meshes[1], placement, materials.press_materials(made), "cpu")
     start = time.perf_counter()
     press = run_press(problem, throw=False)
     quality = [tet_quality(mesh.rest_positions, mesh.tets) for mesh in meshes]

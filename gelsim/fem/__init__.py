@@ -9,7 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,26 +101,14 @@ def _problem(
     way: Try, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple, device: str, *, patient: bool | None = None
 ) -> PressProblem:
     """A press as a try discretises it; `patient` None: where volume is held from rest on."""
-    from gelsim.fem.problem import PressProblem
+    from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
     from gelsim.fem.strategy import tried
-    from gelsim.scene.materials import gel_material, object_materials
+    from gelsim.scene.materials import press_materials
 
-    of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
-    made: dict[str, Any] = {} if way.most_wasted is None else {"most_wasted": way.most_wasted}
-    return PressProblem(
-        tried(scene, way),
-        gel,
-        body,
-        placement,
-        of_gel,
-        of_object[0] if of_object else None,
-        device,
-        part_materials=of_object[1:],
-        contact_points=way.contact_points,
-        held=way.held,
-        patient=(way.held > 0.0 and not way.goes_on) if patient is None else patient,
-        **made,
-    )
+    patient = (way.held > 0.0 and not way.goes_on) if patient is None else patient
+    wasted = MOST_WASTED if way.most_wasted is None else way.most_wasted
+    numerics = Numerics(contact_points=way.contact_points, held=way.held, most_wasted=wasted, patient=patient)
+    return PressProblem(tried(scene, way), gel, body, placement, press_materials(scene), device, numerics)
 
 
 def solves_on_gpu() -> bool:
@@ -203,13 +191,11 @@ def differentiate_press(
     """
     quiet_warp()
     from gelsim.fem.sensitivity import press_sensitivity
-    from gelsim.scene.materials import gel_material, object_materials
-
-    of_gel, of_object = gel_material(scene), list(object_materials(scene).values())
     from gelsim.fem.strategy import PLAIN
+    from gelsim.scene.materials import press_materials
 
     problem = _problem(PLAIN, scene, gel, body, placement, "cpu", patient=True)
-    return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in (of_gel, *of_object)], list(zip(nodes, shares, strict=True)))
+    return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in press_materials(scene)], list(zip(nodes, shares, strict=True)))
 
 
 def solve_planar(

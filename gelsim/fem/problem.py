@@ -7,6 +7,7 @@ are driven (contact.RigidContact).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -36,12 +37,27 @@ MOST_WASTED = 600  # Newton iterations of solves that failed, in one march: minu
 TOLERANCES = {"fast": 1e-3, "balanced": 1e-4, "reference": 1e-6}  # imbalance left by Newton; a force is off by a fraction of it
 
 
+@dataclass(frozen=True)
+class Numerics:
+    """How a press is made discrete, and how long Newton tries."""
+
+    tet_points: int = 4
+    contact_points: int = 6
+    """Quadrature points on a face."""
+    held: float = 0.0
+    """Part of κ, in shear moduli, by which volume is held at points (`Solids.hold_volume`), of half of κ at most."""
+    tolerance: float | None = None
+    """Of Newton (`NewtonOptions`); None: the fidelity's."""
+    most_wasted: int = MOST_WASTED
+    """Newton iterations of solves that failed, after which a march ends."""
+    patient: bool = True
+    """Of its solves (`NewtonOptions`)."""
+
+
 class PressProblem:
     """A scene made ready for Newton: numbering, supports, materials, contact.
 
-    `part_materials` are those of the object's regions 1, 2, …; its body is of `object_material`. `held`: the part of κ, in shear moduli, by
-    which volume is held at points (`Solids.hold_volume`), of half of κ at most. `most_wasted`: Newton iterations of solves
-    that failed, after which a march ends; `patient`: of its solves (`NewtonOptions`).
+    `materials`: the gel's, then those of the object's regions 0, 1, 2, …, unless it is rigid (`press_materials`).
     """
 
     most_wasted = MOST_WASTED
@@ -49,11 +65,8 @@ class PressProblem:
     """About what the object turns, where it first touches [mm]: its apex, or with press.touch_at = "centre" what lies there."""
 
     def __init__(self, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple[Array, Array],
-                 gel_material: ElasticMaterial, object_material: ElasticMaterial | None, device: str, *,
-                 part_materials: Sequence[ElasticMaterial] = (), tet_points: int = 4, contact_points: int = 6,
-                 held: float = 0.0, tolerance: float | None = None, most_wasted: int = MOST_WASTED,
-                 patient: bool = True) -> None:  # fmt: skip
-        self.scene, self.gel, self.body, self.object_material = scene, gel, body, object_material
+                 materials: Sequence[ElasticMaterial], device: str, numerics: Numerics = Numerics()) -> None:  # fmt: skip
+        self.scene, self.gel, self.body = scene, gel, body
         rotation, translation = placement
         self.pivot = np.array([*scene.press.offset_mm, translation[2] * MM_PER_M])
         gel_rest = gel.rest_positions * MM_PER_M
@@ -72,11 +85,10 @@ class PressProblem:
         for axis, column in (("x", 0), ("y", 1)):
             if axis in gel.symmetry:
                 fixed[:, column] |= np.abs(rest[:, column]) < 1e-9
-        meshes: list[tuple[TetMesh, list[ElasticMaterial], int]] = [(gel, [gel_material], 0)]
+        meshes: list[tuple[TetMesh, list[ElasticMaterial], int]] = [(gel, list(materials[:1]), 0)]
         if isinstance(body, TetMesh):
-            assert object_material is not None
             self.driven = n + np.unique(body.groups["base"])
-            meshes.append((body, [object_material, *part_materials], n))
+            meshes.append((body, list(materials[1:]), n))
         else:
             self.driven = self.object_nodes
         fixed[self.driven] = True
@@ -84,7 +96,7 @@ class PressProblem:
         parts, of_tets = [], []
         ogden = any(material.law == "ogden" for _, several, _ in meshes for material in several)
         for mesh, several, shift in meshes:
-            data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), tet_points)
+            data = tet_quadrature_data(TetMesh((rest[shift : shift + len(mesh.rest_positions)]), mesh.tets), numerics.tet_points)
             law = np.array([isochoric_constants(material, ogden) for material in several])[mesh.regions]
             kappa = np.array([material.kappa * KPA_PER_PA for material in several])[mesh.regions]
             parts.append((mesh.tets + shift, data, law, kappa))
@@ -103,9 +115,9 @@ class PressProblem:
         self.solids = Solids(rest, tets, data, law, kappa, fixed, device, pressures)
         self.quadrature = data
         self.shear = np.array([material.mu * KPA_PER_PA for material in of_tets])
-        self.held, self.most_wasted = held, most_wasted
-        if held > 0.0:
-            self.solids.hold_volume(np.minimum(held * self.shear, 0.5 * kappa))
+        self.held, self.most_wasted = numerics.held, numerics.most_wasted
+        if self.held > 0.0:
+            self.solids.hold_volume(np.minimum(self.held * self.shear, 0.5 * kappa))
         softest = min(material.youngs_modulus for _, several, _ in meshes for material in several) * KPA_PER_PA
         self.memory: Memory | None = None
         if any(material.prony for _, several, _ in meshes for material in several):
@@ -117,11 +129,11 @@ class PressProblem:
         coated = gel.groups["coated"]
         if isinstance(body, TetMesh):
             faces = (body.groups["contact"] + n).astype(np.int32)
-            self.contact = SurfaceContact(coated, faces, rest, self.law, device, contact_points, gel.symmetry)
+            self.contact = SurfaceContact(coated, faces, rest, self.law, device, numerics.contact_points, gel.symmetry)
         else:
             field = distance_field(scene)
-            self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, contact_points, gel.symmetry)
-        self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity], patient=patient)
+            self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, numerics.contact_points, gel.symmetry)
+        self.options = NewtonOptions(numerics.tolerance or TOLERANCES[scene.fidelity], patient=numerics.patient)
         self.copies = 2 ** len(gel.symmetry)
 
     @cached_property

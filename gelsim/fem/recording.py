@@ -79,7 +79,7 @@ class Recorder:
         of_force = force_error(jump, overlap, approach, self._per_jump(min(self._numbers["min_jacobian"])))
         # of the last state kept: after a failure the solids hold that one again
         kink = self._kink(everything[-1])
-        hollow = problem.object_material is not None and SHAPES[problem.scene.object.shape].hollow
+        hollow = not problem.scene.object.rigid and SHAPES[problem.scene.object.shape].hollow
         told = [*(_self_contact(object_motion) if hollow else []), *_beyond_border(problem.scene.gel, object_motion)]
         numbers = {name: np.array(values) for name, values in self._numbers.items()}
         for name in ("newton_iterations", "linear_iterations"):
@@ -99,7 +99,7 @@ class Recorder:
                 "unknowns": problem.solids.unknowns,
                 "steps_halved": steps_halved,
                 "symmetry": self._symmetry(),
-                "rigid_object": problem.object_material is None,
+                "rigid_object": problem.scene.object.rigid,
                 "linear_solver": problem.linear_solver,
                 "factorisations": int(numbers["linear_iterations"].sum()),
                 "stress_jump": float(jump[-1]),

@@ -283,6 +283,11 @@ def object_material(scene: _Pressed) -> ElasticMaterial | None:
     return object_materials(scene).get("body")
 
 
+def press_materials(scene: _Pressed) -> tuple[ElasticMaterial, ...]:
+    """The gel's constants, then those of the object's `parts`."""
+    return (gel_material(scene), *object_materials(scene).values())
+
+
 def law_shape(law: str, given: LawConstants) -> tuple[float, ...]:
     """`ElasticMaterial.constants` of a law from what [object.law_constants] gives.
 

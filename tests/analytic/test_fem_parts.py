@@ -13,7 +13,7 @@ from gelsim.fem import reference
 from gelsim.fem.assembly import Solids
 from gelsim.fem.elements import TetQuadrature, tet_quadrature_data
 from gelsim.fem.pattern import split_pressures
-from gelsim.fem.problem import PressProblem, isochoric_constants
+from gelsim.fem.problem import Numerics, PressProblem, isochoric_constants
 from gelsim.geometry import TET_EDGES, TetMesh
 from gelsim.scene import materials
 from gelsim.scene.definition import Grains, Skin
@@ -124,7 +124,7 @@ def capped(stiffness: float | None) -> float:
     assert soft is not None
     others = [] if stiffness is None else [ElasticMaterial.from_modulus(stiffness * 1e3, soft.poissons_ratio)]
     place = shapes.placement(scene, mesh.surface("contact"))
-    problem = PressProblem(scene, gel, mesh, place, materials.gel_material(scene), soft, "cpu", part_materials=others, tolerance=1e-5)
+    problem = PressProblem(scene, gel, mesh, place, [materials.gel_material(scene), soft, *others], "cpu", Numerics(tolerance=1e-5))
     _, deformation = solved(problem)
     return float(-deformation.force[-1, 2])
 

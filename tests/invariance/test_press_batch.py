@@ -18,14 +18,14 @@ from gelsim.fem.batch import Costs, _Batch, run_batch
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
-from gelsim.fem.problem import MOST_WASTED, PressProblem
+from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
 from gelsim.fem.quasistatic import OVERLAP_MM, Course, Request
 from gelsim.fem.strategy import GRIP, SOON, ways
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
-from gelsim.scene.materials import gel_material, object_material
+from gelsim.scene.materials import press_materials
 
 # A press by itself is solved on factors of its own, in a batch on older ones: the multipliers take over from another rough solve, so that
 # the two end elsewhere, as a step may leave OVERLAP_MM either way. Found: 0.5 µm at a node and less.
@@ -105,7 +105,7 @@ def test_a_batch_gives_what_presses_by_themselves_give(together: list[Deformatio
 
 def test_a_press_that_fails_leaves_the_others_alone() -> None:
     good = scene(200.0)
-    problems = [PressProblem(good, *stages.bodies(good), gel_material(good), object_material(good), "cpu") for _ in range(2)]
+    problems = [PressProblem(good, *stages.bodies(good), press_materials(good), "cpu") for _ in range(2)]
     problems[0].options = NewtonOptions(tolerance=1e-30, max_iterations=3)  # never there
     lost, kept = run_batch(problems)
     single = alone(good)
@@ -174,7 +174,7 @@ def test_who_goes_on_and_how_long_each_may_fail() -> None:
 def test_a_saddle_is_made_stiffer() -> None:
     """A scene whose matrix has a negative eigenvalue too many gets stiffer displacements until it has none; its neighbours do not."""
     one = scene(200.0)
-    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for _ in range(2)]
     batch = _Batch(problems, None)
     batch.residual()
     batch._assemble(np.ones(2, bool))
@@ -206,7 +206,7 @@ def test_a_saddle_is_made_stiffer() -> None:
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
 def test_a_saddle_keeps_its_shift_while_a_neighbour_needs_a_larger_one() -> None:
     one = scene(200.0)
-    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for _ in range(2)]
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for _ in range(2)]
     batch, both = _Batch(problems, None), np.ones(2, bool)
     batch.residual()
     batch._assemble(both)
@@ -241,7 +241,7 @@ def test_patience_is_the_same_alone_and_in_a_batch() -> None:
     """A residual that stays: a patient solve takes all iterations there are, another ends where exact steps lead nowhere."""
     one = scene(200.0)
     for patient in (True, False):
-        problem = PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu", patient=patient)
+        problem = PressProblem(one, *stages.bodies(one), press_materials(one), "cpu", Numerics(patient=patient))
 
         def stays(*given: Any, residual: Callable[..., Residual] = problem.newton.residual, **named: Any) -> Residual:
             return replace(residual(*given, **named), imbalance=1.0)
@@ -288,7 +288,7 @@ class NoGood:
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
 def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [scene(30.0, frames=3), scene(200.0, 0.5, frames=3)]
-    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for one in scenes]
     batch, no_good = _Batch(problems, None), NoGood(wrong)
     monkeypatch.setattr(batch.system, "_cudss", no_good)
     monkeypatch.setattr(batch.system, "_direct", [None, None])
@@ -307,7 +307,7 @@ def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.Monkey
     assert batch.moved.tolist() == [False, True] and batch.system._direct[0] is None
     assert no_good.factorised[1] == 2 * patterns  # of each pattern once, and once more to be sure
     # planted: without the replacement it stops
-    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in scenes]
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for one in scenes]
     batch = _Batch(problems, None)
     monkeypatch.setattr(batch.system, "_cudss", NoGood(wrong))
     monkeypatch.setattr(batch.system, "_direct", [None, None])
@@ -344,13 +344,13 @@ def test_what_is_recorded_once_holds_from_then_on(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("gelsim.fem.batch.REACH_MM", 0.1)  # so that the pattern grows under way
     monkeypatch.setenv("OMP_NUM_THREADS", "1")  # a GPU's tangent is one launch
-    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for one in SCENES[:3]]
     plain = run_batch(problems)
     for wrapper, names in ((keeping, ((wp, "launch"), (wp, "copy"), (wp.array, "zero_"), (wp.Mesh, "refit"))),
                            (refused, ((wp, "zeros"), (wp, "clone"), (wp.array, "numpy"), (wp.array, "assign")))):  # fmt: skip
         for owner, name in names:
             monkeypatch.setattr(owner, name, wrapper(getattr(owner, name)))
-    problems = [PressProblem(one, *stages.bodies(one), gel_material(one), object_material(one), "cpu") for one in SCENES[:3]]
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for one in SCENES[:3]]
     batch, grown = _Batch(problems, None), []
     batch._record = record
     monkeypatch.setattr(batch.system, "analyse", lambda *pattern: grown.append(BatchedSystem.analyse(batch.system, *pattern)))

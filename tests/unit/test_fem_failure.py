@@ -18,13 +18,13 @@ from gelsim.fem import quasistatic, strategy
 from gelsim.fem.batch import run_batch
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
-from gelsim.fem.problem import PressProblem
+from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
-from gelsim.scene.materials import gel_material, object_material
+from gelsim.scene.materials import press_materials
 
 
 @pytest.fixture
@@ -279,8 +279,8 @@ STICKY = build_scene({
 
 
 def made_sticky(contact_points: int = 12, held: float = 0.0) -> PressProblem:
-    materials = gel_material(STICKY), object_material(STICKY)
-    return PressProblem(STICKY, *stages.bodies(STICKY), *materials, "cpu", contact_points=contact_points, held=held)
+    numerics = Numerics(contact_points=contact_points, held=held)
+    return PressProblem(STICKY, *stages.bodies(STICKY), press_materials(STICKY), "cpu", numerics)
 
 
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
@@ -338,7 +338,7 @@ def test_a_step_that_jumps_to_another_branch_is_told(monkeypatch: pytest.MonkeyP
             "fidelity": "fast", "object": {"shape": "punch", "radius_mm": 3.0, "rigid": True, "edge_radius_mm": 0.2},
             "press": {"depth_mm": 0.5, "force_n": "none", "frames": 6, "symmetry": "mirror"}, "contact": {"friction_coefficient": 0.0},
         })  # fmt: skip
-        press = run_press(PressProblem(scene, *stages.bodies(scene), gel_material(scene), object_material(scene), "cpu"))
+        press = run_press(PressProblem(scene, *stages.bodies(scene), press_materials(scene), "cpu"))
         return [text for text in press.info.get("warnings", []) if "another branch" in text]  # type: ignore[attr-defined]
 
     assert not told()
