@@ -48,7 +48,7 @@ BENCH_EXAMPLES = """\
 examples:
   gelsim bench --quick
   gelsim bench --only stability --only speed --out out/stability
-  gelsim bench --out out/bench --resume --page docs/validation.md       what is missing, then the page's tables
+  gelsim bench --out out/bench --resume --page docs/tables.markdown     what is missing, then the page's tables
 
 Writes bench.md (the tables), one CSV a section, results.jsonl (a line a case) and plots."""
 CALIBRATE_EXAMPLES = """\
