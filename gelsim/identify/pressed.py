@@ -21,7 +21,7 @@ from gelsim.optics.camera import seen_places
 from gelsim.optics.rest import resized
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
-from gelsim.scene.definition import Scene
+from gelsim.scene.definition import Press, Scene
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
@@ -109,7 +109,14 @@ def press_at(
 
 def _of(scene: Scene, log_modulus: float, place_mm: tuple[float, float], depth_mm: float) -> Scene:
     body = replace(scene.object, shore_00=None, shore_a=None, modulus_scale=1.0, youngs_modulus_kpa=float(np.exp(log_modulus)))
-    press = replace(scene.press, depth_mm=depth_mm, force_n=None, frames=RECORDED, offset_mm=place_mm)
+    press = Press(
+        depth_mm=depth_mm,
+        force_n=None,
+        frames=RECORDED,
+        offset_mm=place_mm,
+        tilt_deg=scene.press.tilt_deg,
+        speed_mm_s=scene.press.speed_mm_s,
+    )
     return scene.replace(object=body, press=press)
 
 

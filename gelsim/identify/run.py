@@ -36,6 +36,8 @@ FIRST_DEPTH_MM, DEEPER = 1.0, 1.6
 ROUNDS = 4
 STILL = 0.05, 0.03
 """Changes of log E and of the place [mm] that end the rounds."""
+SIDES = 0.03
+"""Share by which width over height of the pictures may be off from the sensor's field: what rounding to whole pixels makes."""
 PLACES_MM = 0.1
 """Places of presses are rounded to: what is left is shifted in the picture; a press in the middle keeps its symmetry."""
 UNEXPLAINED = 0.3
@@ -59,11 +61,12 @@ def identify(
 
     Args:
         source: A video, a folder of pictures or an episode: `recording.read_recording`.
-        scene: The sensor, the object's shape and friction; its object's hardness and its press count for nothing.
+        scene: The sensor, the object's shape, friction and tilt; the object's hardness and all else of its press count for nothing.
         forces, force_sd: CSV of measured normal forces, and their standard deviation [N].
     Returns:
         What report.json holds: shore_00, youngs_modulus_kpa, their spread and 90 % interval, place_mm, pictures (with approach and force of
-        each), left, warnings; under "seen" and "drawn" the changes in the pictures, (K, H, W, 3) [levels].
+        each), unexplained (share of the squared change), warnings. Under "seen" and "drawn" the changes in the pictures [levels], each
+        (K, H, W, 3).
     Raises:
         SceneError: Bad input, before anything is solved. SolveError: the object's press finds no equilibrium.
     """
@@ -72,12 +75,14 @@ def identify(
         raise SceneError("object.rigid = true: a rigid object has no modulus to be found")
     if not force_sd > 0:
         raise SceneError(f"--force-sd {force_sd:g} N: it must be above 0")
+    scene = scene.replace(target_error=None, target_membrane_um=None)
     recording = read_recording(source, crop, forces)
+    _check_sides(recording, scene)
     camera = Camera(scene, recording.size, device, show)
     problem = Problem(camera, recording, force_sd)
     place = _place(camera, recording)
     log_modulus, place, approach = _search(problem, scene, place, device, show)
-    coarse = scene.replace(fidelity="fast", target_error=None, target_membrane_um=None)
+    coarse = scene.replace(fidelity="fast")
     if scene.fidelity != "fast":
         fit = _settle(problem, coarse, log_modulus, place, approach, device, show, rounds=1)
         log_modulus, place, approach = fit.log_modulus, fit.place_mm, fit.approach_mm
@@ -126,6 +131,16 @@ def summary(report: dict[str, Any]) -> str:
     ])  # fmt: skip
 
 
+def _check_sides(recording: Recording, scene: Scene) -> None:
+    """Raises SceneError where the pictures are not of the sensor's field, by their sides."""
+    (wide, high), (across, down) = recording.size, scene.camera.field_mm
+    if not abs(wide / high / (across / down) - 1) < SIDES:
+        raise SceneError(
+            f"the pictures are {wide} : {high}, but the sensor sees {across:g} x {down:g} mm (camera.field_mm): give --crop so that they "
+            "show what the sensor sees"
+        )
+
+
 def _place(camera: Camera, recording: Recording) -> Array:
     """Of the contact on the gel [mm], by the picture that changed most."""
     contacts, sure = find_contacts(recording.rest, recording.pictures[-1:], np.ones(recording.rest.shape[:2], bool))
@@ -136,7 +151,7 @@ def _place(camera: Camera, recording: Recording) -> Array:
 
 def _search(problem: Problem, scene: Scene, place: Array, device: str, show: Progress) -> tuple[float, Array, Array]:
     """Log E [kPa], place and approaches [mm] to begin with."""
-    coarse = scene.replace(fidelity="fast", target_error=None, target_membrane_um=None)
+    coarse = scene.replace(fidelity="fast")
     found: list[tuple[float, float, Array]] = []
     presses = (BEGUN[len(BEGUN) // 2], *BEGUN)
     for number, shore in enumerate(presses):

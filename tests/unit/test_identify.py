@@ -53,6 +53,12 @@ def test_what_is_no_press_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
         read_recording(still)
     with pytest.raises(SceneError, match="no folder of pictures, no video and no episode"):
         read_recording(tmp_path / "a.txt")
+    tall = tmp_path / "tall"
+    tall.mkdir()
+    for number, level in enumerate((100, 140)):
+        Image.fromarray(np.full((80, 60, 3), level, np.uint8)).save(tall / f"{number}.png")
+    with pytest.raises(SceneError, match="60 : 80, but the sensor sees .* give --crop"):
+        run.identify(tall, build_scene({"object": {"shape": "hemisphere"}}))
     with pytest.raises(SceneError, match="rigid object has no modulus"):
         run.identify(still, build_scene({"object": {"shape": "hemisphere", "rigid": True}}))
     assert main(["identify", str(still), "--shape", "hemisphere", "--out", str(tmp_path / "out")]) == BAD_INPUT
