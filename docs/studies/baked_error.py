@@ -31,7 +31,7 @@ from gelsim.errors import SolveError
 from gelsim.optics import choose_variant, light_field, render_frames
 from gelsim.optics.bake import UNSEEN, colour_difference
 from gelsim.optics.baked import BakedRenderer
-from gelsim.optics.isp import develop
+from gelsim.optics.isp import develop, without_noise
 from gelsim.optics.probes import dented_membrane
 from gelsim.optics.render import Renderer
 from gelsim.optics.variant import use_variant
@@ -73,7 +73,7 @@ def sensor_scene(sensor: str, resolution: tuple[int, int], layer: dict[str, Any]
     parts = {"sensor": {"preset": sensor}, "fidelity": "fast", "press": press, "object": layer.get("object", {"shape": "hemisphere"})}
     scene = build_scene(parts | {"render": {"resolution": list(resolution)}})
     # The camera's noise is the same for both and hides what is asked.
-    return scene.replace(camera=replace(scene.camera, noise_sd=(0.0, 0.0, 0.0)))
+    return without_noise(scene)
 
 
 def surfaces(sensor: str, resolution: tuple[int, int], quick: bool, workers: int = 1) -> Iterator[tuple[str, Membrane]]:

@@ -29,6 +29,7 @@ from gelsim.data.metrics import picture_errors, said
 from gelsim.errors import SceneError
 from gelsim.membrane.surface import membrane_states, rest_membrane
 from gelsim.optics.camera import seen_places
+from gelsim.optics.isp import without_noise
 from gelsim.optics.render import Renderer
 from gelsim.optics.rest import resized, rest_pictures
 from gelsim.pipeline import outputs, stages
@@ -69,9 +70,7 @@ def compare(  # noqa: PLR0913 - a keyword for each flag of its command
     show = progress or (lambda stage, done, total: None)
     if (sensor is None) == (frames is None):
         raise SceneError("compare: give --sensor NAME, or --frames DIR with pictures that were drawn before")
-    for name in ("compare.png", "compare.csv", "report.json"):
-        if (out / name).exists() and not force:
-            raise SceneError(f"--out {out}: {out / name} exists; give --force to write over it, or another folder")
+    outputs.check_free(out, (out / name for name in ("compare.png", "compare.csv", "report.json")), force=force)
     photos = read_photos(folder)
     if not photos.files:
         raise SceneError(f"--photos {folder}: no photograph besides no_contact")
@@ -121,9 +120,7 @@ def _scene(sensor: str, photos: Photos, friction: float | str, mode: str) -> Sce
         {"render": {"mode": mode, "spp": SPP, "resolution": list(photos.size)}},
     )
     # A picture's expectation, not one of its draws, is compared.
-    none = (0.0, 0.0, 0.0)
-    camera = replace(scene.camera, noise_sd=none, full_well=none, read_noise=none)
-    scene = scene.replace(gel=photos.gel or scene.gel, camera=camera)
+    scene = without_noise(scene.replace(gel=photos.gel or scene.gel))
     if scene.camera.has_rest:
         rest_pictures(scene)  # of another aspect than the photographs: refused before anything is solved
     return scene

@@ -285,9 +285,8 @@ def summary(report: Mapping[str, Any]) -> str:
 def _check_out(out: Path, force: bool) -> outputs.ResultFolder:
     if out.suffix != ".toml":
         raise SceneError(f"--out {out}: a sensor preset ends in .toml")
-    for path in (out, *(out.parent / name for name in (rest_name(out), "report.json", "comparison.png", "residuals.png"))):
-        if path.exists() and not force:
-            raise SceneError(f"--out {out}: {path} exists; give --force to write over it, or another folder")
+    beside = (out.parent / name for name in (rest_name(out), "report.json", "comparison.png", "residuals.png"))
+    outputs.check_free(out, (out, *beside), force=force)
     return outputs.ResultFolder(out.parent, resume=True)
 
 

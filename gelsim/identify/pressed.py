@@ -18,6 +18,7 @@ from gelsim.membrane.surface import Surface, rest_membrane
 from gelsim.optics.bake import light_field
 from gelsim.optics.baked import BakedRenderer
 from gelsim.optics.camera import seen_places
+from gelsim.optics.isp import without_noise
 from gelsim.optics.rest import resized
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
@@ -37,12 +38,9 @@ class Camera:
     """Draws membranes at the size of the pictures that are compared, without noise, by the baked light."""
 
     def __init__(self, scene: Scene, size: tuple[int, int], device: str, progress: Callable[[str, int, int], None]) -> None:
-        none = (0.0, 0.0, 0.0)
         self.size = size
-        self.scene = scene.replace(
-            camera=replace(scene.camera, noise_sd=none, full_well=none, read_noise=none),
-            render=replace(scene.render, mode="baked", resolution=(FINER * size[0], FINER * size[1])),
-        )
+        drawn = replace(scene.render, mode="baked", resolution=(FINER * size[0], FINER * size[1]))
+        self.scene = without_noise(scene.replace(render=drawn))
         self._variant = optics.choose_variant(device)
         self._renderer = BakedRenderer(self.scene, light_field(self.scene, self._variant, progress), self._variant)
         self.rest = self._draw([rest_membrane(self.scene)])[0]

@@ -85,7 +85,7 @@ def _pictures(path: Path, crop: tuple[int, int, int, int] | None) -> Array:
         episode = read_episode(path)
         if episode.frames.size == 0:
             raise SceneError(f"{path}: an episode without pictures; gelsim dataset --light-of draws them")
-        pictures = [np.asarray(picture, float) for picture in (episode.background, *episode.frames)]
+        pictures = [_small(np.asarray(picture, float)) for picture in (episode.background, *episode.frames)]
     else:
         folder = path if path.is_dir() else path.parent
         folder = folder / "frames" if path.is_dir() and (folder / "frames").is_dir() else folder
@@ -100,7 +100,7 @@ def _pictures(path: Path, crop: tuple[int, int, int, int] | None) -> Array:
         pictures = [_small(reader.levels(name)) for name in names]
     if len({picture.shape for picture in pictures}) > 1:
         raise SceneError(f"{path}: its pictures have different sizes")
-    return np.stack([_small(picture) for picture in pictures]) if pictures else np.zeros((0, 1, 1, 3))
+    return np.stack(pictures) if pictures else np.zeros((0, 1, 1, 3))
 
 
 def _small(picture: Array) -> Array:

@@ -92,9 +92,7 @@ def identify(
 
 def check_free(out: Path, *, force: bool) -> None:
     """Raises SceneError where `write` would write over something, without `force`."""
-    for name in NAMES:
-        if (out / name).exists() and not force:
-            raise SceneError(f"--out {out}: {out / name} exists; give --force to write over it, or another folder")
+    outputs.check_free(out, (out / name for name in NAMES), force=force)
 
 
 def write(report: dict[str, Any], out: Path) -> None:

@@ -391,13 +391,7 @@ def _pose(pose: ArrayLike) -> tuple[Array, Array]:
         raise SceneError(f"pose: its quaternion has the length {length:.4g}; allowed is 1 (w, x, y, z; no turn is 1, 0, 0, 0)")
     if np.abs(values[:3]).max() > 1.0:
         raise SceneError(f"pose: {values[:3].tolist()} m is over 1 m away; allowed are metres in the gel's frame, such as 0, 0, -0.0005")
-    w, x, y, z = values[3:] / length
-    turn = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.array(turn), values[:3] * MM_PER_M
+    return Rotation.from_quat(np.roll(values[3:], -1)).as_matrix(), values[:3] * MM_PER_M
 
 
 def _between(one: tuple[Array, Array], other: tuple[Array, Array], part: float) -> tuple[Array, Array]:

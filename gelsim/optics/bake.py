@@ -35,7 +35,7 @@ from gelsim.data.lightfield import PACKET, LightField, read_field, write_field
 from gelsim.files import cache_folder
 from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
-from gelsim.optics.isp import develop
+from gelsim.optics.isp import develop, without_noise
 from gelsim.optics.probes import bumpy_membrane, dented_membrane
 from gelsim.optics.render import Renderer
 from gelsim.optics.variant import VariantChoice
@@ -349,7 +349,7 @@ def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField,
 def _measure_error(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> dict[str, Any]:
     small = _small(scene, "path", UNSEEN_SPP)
     traced, baked = Renderer(small, variant), BakedRenderer(small, light_field, variant)
-    quiet = small.replace(camera=replace(small.camera, noise_sd=(0.0, 0.0, 0.0)))
+    quiet = without_noise(small)
     squared, distances, levels = [], [], []
     for seed in range(UNSEEN):
         membrane = dented_membrane(small, seed)

@@ -14,7 +14,7 @@ Bayer mosaic, compression, crosstalk between the colours, fixed-pattern noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,12 @@ class Pipeline:
     """Whether there is an exponent on the curve."""
     rest: tuple[int, int] = (0, 0)
     """Columns and rows of a photograph of the rest."""
+
+
+def without_noise(scene: Scene) -> Scene:
+    """With a camera that shows the expectation of each picture, not one of its draws."""
+    none = (0.0, 0.0, 0.0)
+    return scene.replace(camera=replace(scene.camera, noise_sd=none, full_well=none, read_noise=none))
 
 
 def develop(scene: Scene, radiance: NDArray[np.float32], index: int = 0) -> NDArray[np.uint8]:

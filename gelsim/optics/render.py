@@ -60,7 +60,7 @@ class Renderer:
 
     @staticmethod
     def radiances(renderers: Sequence[Renderer], membrane: Membrane, seed: int) -> list[NDArray[np.float32]]:
-        """`radiance` of each of several renderers that differ in their lights: the membrane is placed once."""
+        """`radiance` of each of several renderers of one gel and camera: the membrane is placed once."""
         first = renderers[0]
         if first._scalar is not None:
             return [renderer.radiance(membrane, seed) for renderer in renderers]

@@ -42,6 +42,13 @@ VIDEO_FPS = (4, 30)
 """Bounds of the video's frame rate."""
 
 
+def check_free(out: Path, paths: Iterable[Path], *, force: bool) -> None:
+    """Raises SceneError where one of the files that go to `out` exists already, without `force`."""
+    for path in paths:
+        if path.exists() and not force:
+            raise SceneError(f"--out {out}: {path} exists; give --force to write over it, or another folder")
+
+
 class ResultFolder:
     """A folder that comes into being with its first whole file."""
 
