@@ -133,7 +133,7 @@ class Curve:
 
 
 @lru_cache
-def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "balanced") -> Curve:
+def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "balanced", poissons_ratio: float = POISSONS_RATIO) -> Curve:
     """Presses the tip of a scale into a block, without a foot, to the depth of the softest reading or as far as there is a solution.
 
     Raises:
@@ -142,13 +142,16 @@ def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "bal
     instrument = SCALES[scale]
     depth = instrument.depth(instrument.readings[0])
     sizes = _tip_sizes(instrument, fidelity)
-    press = _press(_block(friction, fidelity, depth), rigid_profile(instrument.tip(3 * depth), sizes), sizes)
+    press = _press(_block(friction, fidelity, depth, poissons_ratio=poissons_ratio), rigid_profile(instrument.tip(3 * depth), sizes), sizes)
     if len(press.approach) < 4:
         raise SolveError(f"durometer {scale}, friction {friction}: stopped at {press.approach[-1] * 1e3:.3g} mm, {press.message}")
     return Curve(press.approach, press.force)
 
 
-def modulus(reading: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced", foot: bool = False) -> float:
+def modulus(
+    reading: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced", foot: bool = False,
+    poissons_ratio: float = POISSONS_RATIO,
+) -> float:  # fmt: skip
     """Young's modulus [Pa] of the block that gives a reading.
 
     Raises:
@@ -156,20 +159,23 @@ def modulus(reading: float, scale: str = "00", friction: float | str = STICK, fi
     """
     instrument = _instrument(scale, reading)
     if foot:
-        return _modulus_with_foot(scale, reading, friction, fidelity)
-    return instrument.spring(reading) / press_curve(scale, friction, fidelity).at(instrument.depth(reading))
+        return _modulus_with_foot(scale, reading, friction, fidelity, poissons_ratio)
+    return instrument.spring(reading) / press_curve(scale, friction, fidelity, poissons_ratio).at(instrument.depth(reading))
 
 
-def reading(youngs_modulus: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced") -> float:
+def reading(
+    youngs_modulus: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced",
+    poissons_ratio: float = POISSONS_RATIO,
+) -> float:  # fmt: skip
     """The reading of a block of a modulus [Pa], by bisection: E grows with the reading.
 
     Raises:
         MaterialError: It would lie outside the instrument's range.
     """
-    instrument, curve = SCALES[scale], press_curve(scale, friction, fidelity)
+    instrument, curve = SCALES[scale], press_curve(scale, friction, fidelity, poissons_ratio)
     low, high = instrument.readings
     low = max(low, 100.0 * (1.0 - curve.depth[-1] / instrument.travel))
-    ends = [modulus(each, scale, friction, fidelity) for each in (low, high)]
+    ends = [modulus(each, scale, friction, fidelity, poissons_ratio=poissons_ratio) for each in (low, high)]
     if not ends[0] <= youngs_modulus <= ends[1]:
         raise MaterialError(
             f"durometer {scale}: E = {youngs_modulus / 1e3:g} kPa reads outside {low:g}…{high:g}; "
@@ -177,7 +183,8 @@ def reading(youngs_modulus: float, scale: str = "00", friction: float | str = ST
         )
     for _ in range(50):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if modulus(middle, scale, friction, fidelity) < youngs_modulus else (low, middle)
+        softer = modulus(middle, scale, friction, fidelity, poissons_ratio=poissons_ratio) < youngs_modulus
+        low, high = (middle, high) if softer else (low, middle)
     return 0.5 * (low + high)
 
 
@@ -286,12 +293,12 @@ def _instrument(scale: str, value: float) -> Durometer:
     return SCALES[scale]
 
 
-def _block(friction: float | str, fidelity: str, depth: float, states: int = STATES) -> Scene:
+def _block(friction: float | str, fidelity: str, depth: float, states: int = STATES, poissons_ratio: float = POISSONS_RATIO) -> Scene:
     """The press to a depth [m]; its object stands for the tip, which no shape of a scene is."""
     return Scene(
         gel=Gel(
             profile="flat", size_mm=(2 * BLOCK_RADIUS_MM, 2 * BLOCK_RADIUS_MM), thickness_mm=BLOCK_MM, shore_00=None,
-            youngs_modulus_kpa=MODULUS / 1e3, poissons_ratio=POISSONS_RATIO,
+            youngs_modulus_kpa=MODULUS / 1e3, poissons_ratio=poissons_ratio,
         ),
         object=Body(shape="hemisphere", radius_mm=1.19, rigid=True),
         contact=Contact(friction_coefficient=friction),
@@ -342,7 +349,7 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
     from gelsim.fem.quasistatic import run_press
 
     block = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes)
-    problem = PlanarProblem(scene, block, tip, ElasticMaterial.from_modulus(MODULUS, POISSONS_RATIO), None, None)
+    problem = PlanarProblem(scene, block, tip, ElasticMaterial.from_modulus(MODULUS, scene.gel.poissons_ratio), None, None)
     contact, solids = problem.contact, problem.solids
     states: list[tuple[float, float]] = []
 
@@ -371,7 +378,7 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
 
 
 @lru_cache
-def _modulus_with_foot(scale: str, value: float, friction: float | str, fidelity: str) -> float:
+def _modulus_with_foot(scale: str, value: float, friction: float | str, fidelity: str, poissons_ratio: float) -> float:
     """Forces scale with E. So one press of tip and foot tells it: at first touch the tip carries all; where its share has come down to the
     spring's of the dead load, E is the load over the force that a block of 1 Pa carries there."""
     instrument = SCALES[scale]
@@ -384,7 +391,7 @@ def _modulus_with_foot(scale: str, value: float, friction: float | str, fidelity
     frames = math.ceil(min(depth + 4 * sink, DEEPEST) / spacing) + 1
     sizes = _tip_sizes(instrument, fidelity, foot=True)
     tip = rigid_profile(_tip_and_foot(instrument, depth), sizes)
-    scene = _block(friction, fidelity, spacing * (frames - 1), frames)
+    scene = _block(friction, fidelity, spacing * (frames - 1), frames, poissons_ratio)
     press = _press(scene, tip, sizes, spring / load)
     share = press.tip_force[1:] / press.force[1:]
     if share[-1] > spring / load:

@@ -54,6 +54,8 @@ class ModelConfig:
     """ours: and with the area, size and slope of what changed (for an ablation)"""
     show_gel: bool = True
     """ours: it is told thickness, dome and hardness of the gel where they are known (for an ablation)"""
+    show_scale: bool = True
+    """ours: it is told whether it sees 18.4 mm around the contact, or a picture of unknown scale (for an ablation)"""
     every_step: bool = False
     """ours: each picture of a press is trained as if it were the last, and not the last alone (for an ablation)"""
     spread: bool = True
@@ -90,6 +92,22 @@ class AugmentConfig:
     """gives the lights each other's colours"""
     hide_gel: float = 0.2
     """share of presses whose gel is not told: it is not always known"""
+    hide_scale: float = 0.0
+    """share of presses whose scale is not told: they are seen whole, not 18.4 mm around the contact"""
+    turn_deg: float = 0.0
+    """largest angle by which the sensor is turned"""
+    mix: float = 0.0
+    """largest share of each colour that is a random mixture of all three: lights of other colours, up to white"""
+    shade: float = 0.0
+    """largest exponent of a smooth gain over the picture at its sides: vignettes, lamps that glow"""
+    border: float = 0.0
+    """share of presses seen in a border of one colour, up to a quarter of the picture on each side"""
+    texture: float = 0.0
+    """share of presses with a fine relief where they touch, as fabrics, skins and bristles have, whatever their hardness"""
+    codec_levels: float = 0.0
+    """largest step to which a video's codec rounds the waves of its blocks [levels]"""
+    late: float = 0.0
+    """share of presses whose first picture is not without contact, but up to a third of the way in"""
 
 
 @dataclass(frozen=True)
@@ -145,7 +163,21 @@ class Config:
 
 
 # Fields that came later, and what a config that lacks them meant.
-_ADDED: dict[str, dict[str, Any]] = {"model": {"show_gel": False}, "augment": {"hide_gel": 0.0}, "train": {"compile": False}}
+_ADDED: dict[str, dict[str, Any]] = {
+    "model": {"show_gel": False, "show_scale": False},
+    "augment": {
+        "hide_gel": 0.0,
+        "hide_scale": 0.0,
+        "turn_deg": 0.0,
+        "mix": 0.0,
+        "shade": 0.0,
+        "border": 0.0,
+        "texture": 0.0,
+        "codec_levels": 0.0,
+        "late": 0.0,
+    },
+    "train": {"compile": False},
+}
 
 # What a preset changes; flags beat it.
 PRESETS: dict[str, dict[str, Any]] = {
@@ -153,6 +185,12 @@ PRESETS: dict[str, dict[str, Any]] = {
     "mini": {
         "picture": (48, 64), "frames": 6, "widths": (16, 32, 64), "hidden": 64, "steps": 500, "batch": 16, "warmup": 30,
         "rate": 2e-3, "validate_every": 100,
+    },
+    "families": {
+        "picture": (144, 192), "widths": (48, 96, 192, 320), "batch": 64, "rate": 1.5e-3, "warmup": 150, "end_share": 0.5, "drop": 0.1,
+        "gamma": 0.25, "hide_gel": 0.4, "hide_scale": 0.4, "turn_deg": 15.0, "mix": 0.6, "shade": 0.5, "border": 0.3,
+        "texture": 0.4, "codec_levels": 12.0, "late": 0.1,
+        "show_background": False,
     },
     "paper": {
         "model": "paper", "picture": (224, 224), "frames": 5, "hidden": 256, "batch": 16, "average": 0.0,
@@ -214,7 +252,8 @@ def from_plain(plain: object) -> Config:
 _RANGES: dict[str, tuple[float, float]] = {
     "picture": (16, 1024), "frames": (2, 64), "deadband_levels": (0, 64), "contact_levels": (1e-3, 64), "widths": (4, 2048),
     "hidden": (4, 4096), "end_share": (0.05, 1), "thin": (1, 20), "drop": (0, 0.9), "noise_levels": (0, 64), "gain": (0, 0.9),
-    "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "hide_gel": (0, 1),
+    "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "hide_gel": (0, 1), "hide_scale": (0, 1),
+    "turn_deg": (0, 180), "mix": (0, 1), "shade": (0, 3), "border": (0, 1), "texture": (0, 1), "codec_levels": (0, 255), "late": (0, 1),
     "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
     "warmup": (0, 10**7), "weight_decay": (0, 10), "step_size": (1, 10**8), "step_factor": (0, 1), "momentum": (0, 0.9999),
     "clip": (0, 1e6), "seed": (0, 2**31), "workers": (0, 256), "validate_every": (1, 10**8), "real_ratio": (0, 1),

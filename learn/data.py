@@ -13,6 +13,7 @@ from gelsim.data.episodes import Dataset
 from gelsim.errors import DatasetError
 from learn.config import InputConfig
 from learn.frames import equal_steps, loading
+from learn.framing import to_scale
 from learn.recordings import Archive, Recording, with_noise
 from learn.splits import TRAIN, VALIDATION, check_splits, split_by_object
 
@@ -41,6 +42,8 @@ class Press:
     rigid: bool = False
     """The target is not known, but it is over HARDEST."""
     gel: Gel = UNKNOWN_GEL
+    scaled: bool = False
+    """The pictures show `framing.FIELD_MM` around the contact; else their scale is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,8 @@ class Batch:
     """bool, shape (B,)."""
     gel: torch.Tensor
     """A `Gel` each, shape (B, 3)."""
+    scaled: torch.Tensor
+    """As of a `Press`; bool, shape (B,)."""
 
     def to(self, device: torch.device) -> Batch:
         return Batch(*(getattr(self, name).to(device, non_blocking=True) for name in self.__dataclass_fields__))
@@ -80,7 +85,7 @@ def choose(recording: Recording, inputs: InputConfig, repeat: bool, end_share: f
     if len(among) == 0:
         return None
     chosen = equal_steps(recording.signal, among, inputs.frames, repeat)
-    return Press(recording.background, recording.pictures[chosen], recording.signal[chosen].astype(np.float32))
+    return Press(recording.background, recording.pictures[chosen], recording.signal[chosen].astype(np.float32), scaled=recording.scaled)
 
 
 def collate(presses: Sequence[Press], at_least: int = 0) -> Batch:
@@ -100,6 +105,7 @@ def collate(presses: Sequence[Press], at_least: int = 0) -> Batch:
         torch.tensor([press.target for press in presses], dtype=torch.float32),
         torch.tensor([press.rigid for press in presses]),
         torch.tensor([press.gel for press in presses], dtype=torch.float32),
+        torch.tensor([press.scaled for press in presses]),
     )
 
 
@@ -123,10 +129,12 @@ def sides(dataset: Dataset, seed: int) -> tuple[list[int], list[int]]:
 
 
 def held_presses(part: Archive, inputs: InputConfig, repeat: bool, seed: int) -> list[Press | None]:
-    """The presses of an archive as a test sees them: to their peak, with their camera's noise; None: no contact."""
+    """The presses of an archive as a test sees them: to their peak, with noise, at the network's scale where theirs is known; None: no
+    contact."""
     found: list[Press | None] = []
     for number, row in enumerate(part.rows):
-        press = choose(with_noise(part.recording(number), [seed, 3, row["index"]], inputs), inputs, repeat)
+        recording = with_noise(part.recording(number), [seed, 3, row["index"]], inputs)
+        press = choose(to_scale(recording, row.get("field_mm"), inputs), inputs, repeat)
         target = np.nan if row["shore_00"] is None else float(row["shore_00"])
         told = {"target": target, "rigid": bool(row["rigid"]), "gel": gel_of(row.get("gel"))}
         found.append(None if press is None else replace(press, **told))

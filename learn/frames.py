@@ -54,13 +54,13 @@ def fit_picture(image: NDArray[np.uint8], picture: tuple[int, int]) -> NDArray[n
     return averaged(image, picture)
 
 
-def as_wide(image: NDArray[np.uint8], picture: tuple[int, int]) -> NDArray[np.uint8]:
+def as_wide(image: NDArray, picture: tuple[int, int]) -> NDArray:
     """An image (H, W, 3), turned by 90° where it is upright and the picture of so many rows and columns is not."""
     rows, columns = picture
     return np.rot90(image) if (image.shape[0] > image.shape[1]) != (rows > columns) and rows != columns else image
 
 
-def averaged(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint16]:
+def averaged(image: NDArray, size: tuple[int, int]) -> NDArray[np.uint16]:
     """An image (H, W, 3) averaged to so many rows and columns: levels times FIXED_POINT, shape (*size, 3)."""
     down, across = _averaging(image.shape[0], size[0]), _averaging(image.shape[1], size[1])
     first = np.tensordot(down, image.astype(np.float32), axes=(1, 0))

@@ -7,6 +7,7 @@ A black border is found and cut off. Left out: finding the gel in other surround
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from gelsim.data.corners import Corners, check_corners
 from gelsim.errors import SceneError
-from learn.config import LearnError
-from learn.frames import as_wide, averaged
+from learn.config import InputConfig, LearnError
+from learn.frames import as_wide, averaged, change_signal, levels_of
+from learn.recordings import Recording
 
 FIELD_MM = (18.4, 13.8)
 """Of the sensor in the plans that the shipped networks are trained on, of which training cuts out 85 to 100 %."""
@@ -117,7 +119,7 @@ class Framing:
             raise LearnError(f"{name}: {kept.shape[1]} x {kept.shape[0]} px of {self.scale:g} mm are {wide:.3g} x {high:.3g} mm; {allowed}")
 
 
-def at_scale(kept: NDArray[np.uint8], picture: tuple[int, int], scale: float, centre: tuple[float, float]) -> NDArray[np.uint16]:
+def at_scale(kept: NDArray, picture: tuple[int, int], scale: float, centre: tuple[float, float]) -> NDArray[np.uint16]:
     """The network's picture (rows, columns) of FIELD_MM of what is kept of a frame, as `learn.frames.fit_picture` gives it of all.
 
     Args:
@@ -129,6 +131,29 @@ def at_scale(kept: NDArray[np.uint8], picture: tuple[int, int], scale: float, ce
     rows, columns = (max(round(side * scale * density), 1) for side, density in zip(kept.shape, per_mm, strict=False))
     whole = averaged(kept, (rows, columns))
     return whole[np.ix_(_span(rows, picture[0], centre[1]), _span(columns, picture[1], centre[0]))]
+
+
+def shown_mm(field: Sequence[float], picture: tuple[int, int]) -> float:
+    """Width [mm] of the network's picture of a camera's that shows `field` [mm], as `learn.frames.fit_picture` cuts it."""
+    wide, high = sorted(field, reverse=True) if picture[1] > picture[0] else field
+    return min(wide, high * picture[1] / picture[0])
+
+
+def to_scale(recording: Recording, field: Sequence[float] | None, inputs: InputConfig) -> Recording:
+    """A recording of pictures that show `field` [mm], at the network's scale around its contact; as it is where the field is not known."""
+    if field is None:
+        return recording
+    scale = shown_mm(field, inputs.picture) / inputs.picture[1]
+    if abs(scale * inputs.picture[1] / FIELD_MM[0] - 1) < 1e-3:
+        return replace(recording, scaled=True)
+    centre = contact_centre(recording.pictures, recording.background, recording.signal, inputs.deadband_levels)
+
+    def seen(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+        return levels_of(at_scale(picture.clip(0, 255), inputs.picture, scale, centre))
+
+    pictures, background = np.stack([seen(picture) for picture in recording.pictures]), seen(recording.background)
+    signal = change_signal(pictures, background, inputs.deadband_levels)
+    return replace(recording, background=background, pictures=pictures, signal=signal, scaled=True)
 
 
 def _span(length: int, size: int, centre: float) -> NDArray[np.intp]:

@@ -86,7 +86,7 @@ class PressNet(nn.Module):
         self.stem_norm = nn.GroupNorm(4, config.widths[0])
         pairs = zip(config.widths, config.widths[1:], strict=False)
         self.stages = nn.Sequential(*(Residual(inside, outside) for inside, outside in pairs))
-        extra = int(config.show_signal) + SHAPES * int(config.show_shape) + GELS * int(config.show_gel)
+        extra = int(config.show_signal) + SHAPES * int(config.show_shape) + GELS * int(config.show_gel) + int(config.show_scale)
         self.embed = nn.Linear(2 * config.widths[-1] + extra, config.hidden)
         self.lstm = nn.LSTM(config.hidden, config.hidden, batch_first=True)
         self.head = nn.Linear(config.hidden, 2)
@@ -109,6 +109,8 @@ class PressNet(nn.Module):
             x = torch.cat([x, shape_of(batch.pictures - batch.background[:, None])], dim=-1)
         if self.config.show_gel:
             x = torch.cat([x, gel_input(batch.gel)[:, None].expand(-1, steps, -1)], dim=-1)
+        if self.config.show_scale:
+            x = torch.cat([x, batch.scaled.to(x.dtype)[:, None, None].expand(-1, steps, 1)], dim=-1)
         with torch.autocast(x.device.type, enabled=False):
             hidden, _ = self.lstm(functional.silu(self.embed(x)))
             said = self.head(hidden)

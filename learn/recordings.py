@@ -69,6 +69,8 @@ class Recording:
     """Intensity change [levels], shape (N,)."""
     noise: Noise = Noise()
     """Of the camera, where the pictures were stored without."""
+    scaled: bool = False
+    """The pictures show `learn.framing.FIELD_MM` around the contact."""
 
 
 def record(

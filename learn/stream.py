@@ -19,6 +19,7 @@ from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import Config, LearnError
 from learn.data import Batch, Gel, Press, collate, gel_of
 from learn.frames import FIXED_POINT, equal_steps, loading
+from learn.framing import shown_mm
 from learn.recordings import Archive
 
 MOST_MEMORY = 0.5
@@ -48,28 +49,32 @@ class Stream:
         """The presses at these positions, each padded to the pictures that the network takes of one."""
         config, inputs = self._config, self._config.input
         looks = np.zeros(len(positions), LOOK)
-        members, chosen, lengths, targets, rigid, gels = [], np.zeros((len(positions), 1 + inputs.frames), np.int64), [], [], [], []
+        chosen = np.zeros((len(positions), 1 + inputs.frames), np.int64)
+        members, lengths, targets, rigid, gels = [], [], [], [], []
         for slot, position in enumerate(positions):
             pool, number = self.member(position)
             part, rng = self._archives[pool], np.random.default_rng([config.train.seed, 2, position])
             signal = part.signals[number]
+            row, empty = part.rows[number], 0
             if config.augment.augment:
-                frames = choose_randomly(signal, rng, inputs, config.augment, self._repeat)
+                frames, empty = choose_randomly(signal, rng, inputs, config.augment, self._repeat)
             else:
                 frames = equal_steps(signal, loading(signal, inputs), inputs.frames, self._repeat)
-            looks[slot] = draw_look(rng, config.augment)
+            field = row.get("field_mm")
+            looks[slot] = draw_look(rng, config.augment, None if field is None else shown_mm(field, inputs.picture))
             members.append((pool, number))
-            chosen[slot, 1 : 1 + len(frames)] = 1 + frames
+            # The last one again where there are fewer: the contact is sought in the last.
+            chosen[slot] = np.pad(1 + frames, (1, inputs.frames - len(frames)), mode="edge")
+            chosen[slot, 0] = empty
             lengths.append(len(frames))
-            row = part.rows[number]
             targets.append(np.nan if row["shore_00"] is None else float(row["shore_00"]))
             rigid.append(bool(row["rigid"]))
             gels.append(gel_of(row.get("gel")))
         with torch.no_grad():
             noises = [(noise.flat, noise.shot) for noise in (self._archives[pool].noises[number] for pool, number in members)]
-            stack = randomise(self._pictures.take(members, chosen), looks, noises, config.augment)
-            gel = _hidden(torch.tensor(gels), looks)
-            return _batch(stack, torch.tensor(lengths), torch.tensor(targets), torch.tensor(rigid), gel, inputs.deadband_levels)
+            stack = randomise(self._pictures.take(members, chosen), looks, noises, config.augment, inputs.deadband_levels)
+            told = _hidden(torch.tensor(gels), looks), torch.from_numpy(looks["scaled"].copy())
+            return _batch(stack, torch.tensor(lengths), torch.tensor(targets), torch.tensor(rigid), *told, inputs.deadband_levels)
 
     def gels(self) -> list[Gel]:
         """The gel of each press, hidden from the network or not."""
@@ -137,7 +142,8 @@ def varied(presses: Sequence[Press], seeds: Sequence[int], config: Config, devic
         looks = np.stack([draw_look(np.random.default_rng([*seeds, first + number]), config.augment) for number in range(len(part.target))])
         stack = torch.cat([part.background[:, None], part.pictures], dim=1)
         stack = randomise(stack, looks, [(0.0, 0.0)] * len(looks), config.augment)
-        batches.append(_batch(stack, part.lengths, part.target, part.rigid, _hidden(part.gel, looks), config.input.deadband_levels))
+        told = _hidden(part.gel, looks), part.scaled
+        batches.append(_batch(stack, part.lengths, part.target, part.rigid, *told, config.input.deadband_levels))
     return batches
 
 
@@ -159,7 +165,13 @@ def _hidden(gel: torch.Tensor, looks: NDArray) -> torch.Tensor:
 
 
 def _batch(
-    stack: torch.Tensor, lengths: torch.Tensor, target: torch.Tensor, rigid: torch.Tensor, gel: torch.Tensor, deadband: float
+    stack: torch.Tensor,
+    lengths: torch.Tensor,
+    target: torch.Tensor,
+    rigid: torch.Tensor,
+    gel: torch.Tensor,
+    scaled: torch.Tensor,
+    deadband: float,
 ) -> Batch:
     """From no-contact frames and pictures, shape (B, 1 + T, 3, h, w)."""
     device = stack.device
@@ -168,4 +180,4 @@ def _batch(
     signal = ((pictures - background[:, None]).abs() - deadband).clamp_min(0).mean(dim=(2, 3, 4))
     pictures = torch.where(there[:, :, None, None, None], pictures, torch.zeros_like(pictures))
     signal = torch.where(there, signal, torch.zeros_like(signal))
-    return Batch(pictures, background, signal, lengths, target, rigid, gel).to(device)
+    return Batch(pictures, background, signal, lengths, target, rigid, gel, scaled).to(device)

@@ -10,7 +10,7 @@ import contextlib
 import re
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -24,7 +24,7 @@ from gelsim.scene.layers import load_scene
 from learn.config import InputConfig, LearnError
 from learn.data import UNKNOWN_GEL, Gel, gel_of
 from learn.frames import as_wide, averaged, change_signal, fit_picture, levels_of
-from learn.framing import Framing, at_scale, contact_centre
+from learn.framing import Framing, at_scale, contact_centre, to_scale
 from learn.recordings import Recording, record_episode, with_noise
 
 MOST_SECONDS, MOST_FRAMES, MOST_PIXELS = 60.0, 1800, 2**25
@@ -89,6 +89,7 @@ def sources(
 def _episode(path: Path, name: str, inputs: InputConfig) -> Source:
     episode = read_episode(path)
     recording = with_noise(record_episode(episode, inputs), [3, episode.row["index"]], inputs)
+    recording = to_scale(recording, episode.row.get("field_mm"), inputs)
     return _checked(Source(name, recording, episode.row["shore_00"], gel_of(episode.row.get("gel"))))
 
 
@@ -109,6 +110,7 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
         centre = contact_centre(recording.pictures, recording.background, recording.signal, inputs.deadband_levels)
         with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
             recording = _seen(path, opened, inputs, background, framing, lambda kept: at_scale(kept, picture, scale, centre))
+        recording = replace(recording, scaled=True)
     note = "" if framing is given else "a black border was cut off (--crop {} {} {} {})".format(*framing.crop or ())
     return _checked(Source(str(path), recording, gel=_gel_beside(path), note=note))
 

@@ -207,6 +207,9 @@ def _parser() -> Parser:
     wanted.add_argument("--shore", type=float, metavar="H", help="a reading: of which modulus?")
     durometer.add_argument("--scale", choices=("00", "A"), default="00", help="type of durometer (default: 00)")
     durometer.add_argument("--friction", default="stick", metavar="MU", help="of tip and foot on the block, 0 … 10 or stick (default)")
+    durometer.add_argument(
+        "--poissons-ratio", type=float, metavar="NU", help="of the block, 0 … 0.49999: a foam's is 0 to 0.3 (default: 0.4999)"
+    )
     durometer.add_argument("--foot", action="store_true", help="the foot rests on the block too, with the stand's dead load")
     durometer.add_argument(
         "--fidelity", choices=("fast", "balanced", "reference"), default="balanced", help="of the mesh (default: balanced)"
@@ -503,6 +506,8 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
 
     friction = _friction(options.friction)
     if options.modulus_kpa is None and options.shore is None:
+        if options.poissons_ratio is not None:
+            raise SceneError("--poissons-ratio goes with --shore or --modulus-kpa")
         if options.out:
             ResultFolder(Path(options.out), resume=True)  # the whole scale takes minutes
         with progress_bars() as progress:
@@ -512,6 +517,10 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
         if not options.json:
             print(durometer.summary(rows, options.scale))
         return {"scale": options.scale, "rows": rows}
+    nu = durometer.POISSONS_RATIO if options.poissons_ratio is None else options.poissons_ratio
+    low, high = LIMITS["object.poissons_ratio"]
+    if not low <= nu <= high:
+        raise SceneError(f"--poissons-ratio {nu:g}: allowed is {low:g} … {high:g}")
     if options.out:
         raise SceneError("durometer: --out DIR goes with the whole scale, without --shore and --modulus-kpa")
     found: dict[str, Any] = {"scale": options.scale, "friction": options.friction, "foot": options.foot}
@@ -519,10 +528,10 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
         if options.foot:
             raise SceneError("--foot goes with --shore, or with the whole scale: its press is made for a reading")
         found["modulus_kpa"] = options.modulus_kpa
-        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity)
+        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity, nu)
     else:
         found["reading"] = options.shore
-        found["modulus_kpa"] = durometer.modulus(options.shore, options.scale, friction, options.fidelity, options.foot) / 1e3
+        found["modulus_kpa"] = durometer.modulus(options.shore, options.scale, friction, options.fidelity, options.foot, nu) / 1e3
     others = durometer.relations(found["reading"], options.scale)
     found["relations_kpa"] = {name: None if each is None else each / 1e3 for name, each in others.items()}
     if not options.json:

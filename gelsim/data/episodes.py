@@ -31,7 +31,7 @@ from gelsim.errors import DatasetError, MaterialError
 from gelsim.files import whole_file
 from gelsim.results import Episode
 from gelsim.scene import materials
-from gelsim.scene.definition import Gel
+from gelsim.scene.definition import Gel, Scene
 from gelsim.scene.limits import LIMITS
 
 SCHEMA = 1
@@ -53,6 +53,8 @@ _GEL: dict[str, tuple[float, float]] = {
     "thickness_mm": LIMITS["gel.thickness_mm"], "edge_thickness_mm": LIMITS["gel.edge_thickness_mm"], "shore_00": materials.SHORE_00_RANGE,
 }  # fmt: skip
 """Inclusive bounds of a row's `gel`, which it need not have: without, nobody said which gel it was."""
+_FIELD_MM = (1.0, 200.0)
+"""Inclusive bounds of both sides of a row's `field_mm`: what the pictures show; without, their scale is not known."""
 _LABELS = {"time": np.float64, "approach": np.float64, "force": np.float64, "marker_pixels": np.float32, "noise": np.float64}
 """As they are stored; a marker's place is kept to 1e-5 px."""
 
@@ -162,6 +164,16 @@ def check_row(row: object, where: str) -> None:
         raise DatasetError(f"{where}: file = {row['file']!r}: the episode {row['index']} lies in {episode_file(max(row['index'], 0))!r}")
     if "gel" in row:
         _check_gel(row["gel"], where)
+    if "field_mm" in row:
+        _check_field(row["field_mm"], where)
+
+
+def _check_field(field: object, where: str) -> None:
+    low, high = _FIELD_MM
+    sides = field if isinstance(field, list) and len(field) == 2 else [None]
+    # A NaN is within no bounds.
+    if not all(isinstance(side, (int, float)) and not isinstance(side, bool) and low <= side <= high for side in sides):
+        raise DatasetError(f"{where}: field_mm = {field!r}: expected width and height, {low:g} … {high:g} mm each")
 
 
 def _check_gel(gel: object, where: str) -> None:
@@ -187,6 +199,13 @@ def gel_facts(gel: Gel) -> dict[str, float | None]:
         except MaterialError:
             shore = None
     return {"thickness_mm": gel.thickness_mm, "edge_thickness_mm": gel.edge_mm, "shore_00": shore}
+
+
+def field_seen(scene: Scene) -> list[float]:
+    """A row's `field_mm`: width and height of the gel's surface at rest that the pictures show [mm]; pixels are square."""
+    size = scene.render.resolution
+    per_px = max(field / side for field, side in zip(scene.camera.field_mm, size, strict=True))
+    return [round(per_px * side, 6) for side in size]
 
 
 def lit(row: Mapping[str, Any]) -> bool:

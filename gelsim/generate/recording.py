@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.data.episodes import episode_file, gel_facts
+from gelsim.data.episodes import episode_file, field_seen, gel_facts
 from gelsim.data.motion import Motion, pack, unpack
 from gelsim.errors import MeshingError, SceneError, SolveError, SolveStatus
 from gelsim.generate.light import Studio, noise_of
@@ -39,7 +39,7 @@ ENOUGH = 0.6
 """Of the wanted depth or force, whichever is nearer, at which a press that finds no equilibrium further on is kept as it is, and does not
 begin again."""
 
-FOLLOWS = ("frames", "peak_force_n", "file", "peak_approach_mm", "gel", "pictures")
+FOLLOWS = ("frames", "peak_force_n", "file", "peak_approach_mm", "gel", "field_mm", "pictures")
 """What `pictured` puts into a row."""
 
 
@@ -205,7 +205,7 @@ def pictured(
         pixels = np.stack([marker_pixels(scene, membrane) for membrane in membranes])
     row = row | {
         "frames": len(approach), "peak_force_n": round(float(-force[:, 2].min()), 6), "file": episode_file(row["index"]),
-        "peak_approach_mm": round(float(places[-1]) / MM, 6), "gel": gel_facts(scene.gel),
+        "peak_approach_mm": round(float(places[-1]) / MM, 6), "gel": gel_facts(scene.gel), "field_mm": field_seen(scene),
         **({"pictures": False} if studio is None else {}),
     }  # fmt: skip
     assert places[0] == 0.0, "the first frame is before first touch"

@@ -15,11 +15,17 @@ from learn import recordings
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import LearnError, configure
 from learn.data import Batch, choose, collate, gel_of, held_presses, sides
-from learn.recordings import Archive, Noise, Reading, archive, camera_noise, record_episode
+from learn.framing import FIELD_MM, to_scale
+from learn.recordings import Archive, Noise, Reading, Recording, archive, camera_noise, record_episode
 from learn.stream import Stream, share
 
 CONFIG = configure(**TINY)
-STILL = replace(CONFIG.augment, **{name: 0.0 for name in ("noise_levels", "gain", "gamma", "drift", "blur_px", "crop")})
+STILL = replace(
+    CONFIG.augment,
+    **{name: 0.0 for name in ("noise_levels", "gain", "gamma", "drift", "blur_px", "crop")},
+    mirror=False,
+    swap_colours=False,
+)
 
 
 @pytest.fixture(scope="module")
@@ -200,8 +206,8 @@ def test_noise_of_a_batch_is_as_large_as_it_says() -> None:
 
 
 def test_a_mirrored_sensor_with_swapped_colours_keeps_its_numbers() -> None:
-    stack = torch.rand(2, 4, 3, 6, 8) * 255
-    seen = randomise(stack, looks(2, size=[(-1, 1), (1, -1)], colours=[(2, 0, 1), (0, 1, 2)]), [(0.0, 0.0)] * 2, STILL)
+    stack, swapped = torch.rand(2, 4, 3, 6, 8) * 255, replace(STILL, mirror=True, swap_colours=True)
+    seen = randomise(stack, looks(2, size=[(-1, 1), (1, -1)], colours=np.eye(3)[[(2, 0, 1), (0, 1, 2)]]), [(0.0, 0.0)] * 2, swapped)
     # The interpolation's weights are 1 and 0 up to float32; of 255 levels.
     assert torch.allclose(seen[0], stack[0].flip(-1)[:, [2, 0, 1]], atol=1e-3) and torch.allclose(seen[1], stack[1].flip(-2), atol=1e-3)
 
@@ -232,9 +238,94 @@ def test_tone_gain_drift_and_blur() -> None:
     assert torch.equal(randomise(dot, looks(1, blur=0.1), [(0.0, 0.0)], one), dot)
 
 
+def test_turned_by_a_right_angle_and_made_as_large_a_picture_stands_upright() -> None:
+    stack = torch.rand(1, 2, 3, 8, 8) * 255
+    seen = randomise(stack, looks(1, turn=np.pi / 2), [(0.0, 0.0)], replace(STILL, turn_deg=90.0))
+    assert torch.allclose(seen, stack.rot90(-1, (-2, -1)), atol=1e-3) or torch.allclose(seen, stack.rot90(1, (-2, -1)), atol=1e-3)
+    # Pixels are square where the picture is not: a disc stays a disc.
+    y, x = torch.meshgrid(torch.arange(24.0) - 11.5, torch.arange(32.0) - 15.5, indexing="ij")
+    disc = (200 * torch.exp(-(x**2 + y**2) / 20)).expand(1, 2, 3, 24, 32).contiguous()
+    turned = randomise(disc, looks(1, turn=0.7), [(0.0, 0.0)], replace(STILL, turn_deg=90.0))
+    # Linear between pixels: off by an eighth of the second derivative, 200 / 10 / 8 in either direction.
+    assert (turned - disc).abs().max() < 5
+
+
+def test_a_border_is_of_one_colour_and_what_lies_within_stays() -> None:
+    stack = torch.full((1, 2, 3, 8, 8), 100.0)
+    drawn = looks(1, border=(-0.5, -1.0, 1.0, 0.75), painted=(10.0, 20.0, 30.0))
+    seen = randomise(stack, drawn, [(0.0, 0.0)], replace(STILL, border=1.0, crop=0.1))[0, 1]
+    assert torch.equal(seen[:, :7, 2:], torch.full((3, 7, 6), 100.0))
+    assert all(torch.equal(seen[:, at, :].mean(dim=1), torch.tensor([10.0, 20.0, 30.0])) for at in (7,))
+    assert torch.equal(seen[:, :, :2], torch.tensor([10.0, 20.0, 30.0])[:, None, None].expand(3, 8, 2))
+
+
+def test_colours_become_mixtures_and_a_shade_is_brightest_where_its_exponent_says() -> None:
+    stack = torch.rand(1, 2, 3, 6, 8) * 50
+    white = randomise(stack, looks(1, colours=np.full((3, 3), 1 / 3)), [(0.0, 0.0)], replace(STILL, mix=1.0))
+    assert torch.allclose(white, stack.mean(dim=2, keepdim=True).expand_as(stack), atol=1e-3)
+    shade = np.zeros((3, 5))
+    shade[1, 0] = 0.5
+    seen = randomise(stack, looks(1, shade=shade), [(0.0, 0.0)], replace(STILL, shade=0.5)) / stack
+    assert torch.allclose(seen[:, :, 1], torch.linspace(-0.5, 0.5, 8).exp().expand(1, 2, 6, 8), rtol=1e-4)
+    assert torch.allclose(seen[:, :, [0, 2]], torch.ones(1, 2, 2, 6, 8), rtol=1e-4)
+
+
+@pytest.mark.parametrize("field", [(9.2, 6.9), (18.4, 13.8), (27.6, 20.7)])
+def test_a_training_sees_a_press_of_known_scale_as_a_test_does(field: tuple[float, float]) -> None:
+    """A dent off the middle, drawn on pictures that show half, all, and one and a half of what the network sees."""
+    inputs = configure(picture=(48, 64), frames=2).input
+    y, x = np.meshgrid(np.arange(48.0), np.arange(64.0), indexing="ij")
+    wide = 6 * FIELD_MM[0] / field[0]  # the same dent in millimetres
+    dent = 60 * np.exp(-((x - 44) ** 2 + (y - 20) ** 2) / (2 * wide**2))[..., None] * (1, 0.5, -0.5)
+    background = np.full((48, 64, 3), 110.0, np.float32)
+    recording = Recording(background, np.float32(background + dent[None] * np.array([0.5, 1.0])[:, None, None, None]), np.array([0.5, 1.0]))
+    told = to_scale(recording, field, inputs)
+    stack = torch.from_numpy(np.concatenate([background[None], recording.pictures])).movedim(-1, 1)[None]
+    look = looks(1, scaled=True, size=FIELD_MM[0] / field[0])
+    seen = randomise(stack, look, [(0.0, 0.0)], STILL, inputs.deadband_levels)[0].movedim(1, -1).numpy()
+    assert told.scaled and np.abs(told.background - seen[0]).max() < 1e-3
+    # One averages where the other interpolates: an eighth of the second derivative, half a pixel of the slope of 60 / 6 / sqrt(e) each way.
+    assert np.abs(told.pictures - seen[1:]).max() < 5 and np.abs(told.pictures - seen[1:]).mean() < 0.6
+    assert to_scale(recording, None, inputs) is recording
+
+
+def test_scales_are_hidden_from_as_many_presses_as_asked_and_some_begin_in_contact(rng: np.random.Generator) -> None:
+    config = replace(CONFIG.augment, hide_scale=0.4, late=0.5)
+    drawn = [draw_look(rng, config, 12.0) for _ in range(400)]
+    # Of 400 at 0.4 a standard deviation is 9.8: four of them.
+    assert abs(sum(bool(look["scaled"]) for look in drawn) - 240) < 40
+    assert not any(draw_look(rng, config, None)["scaled"] for _ in range(20))
+    begun = [choose_randomly(np.linspace(0, 3, 31), rng, CONFIG.input, config, False) for _ in range(400)]
+    late = [(chosen, empty) for chosen, empty in begun if empty]
+    assert abs(len(late) - 200) < 40 and all(chosen.min() >= empty for chosen, empty in late) and max(empty for _, empty in late) <= 12
+
+
 def test_lost_frames_never_leave_a_press_empty(rng: np.random.Generator) -> None:
     config = replace(CONFIG.augment, drop=0.9, thin=5, end_share=0.1)
     signal = np.linspace(0, 3, 9)
     for _ in range(200):
-        chosen = choose_randomly(signal, rng, CONFIG.input, config, False)
-        assert 1 <= len(chosen) <= CONFIG.input.frames and (np.diff(chosen) > 0).all()
+        chosen, empty = choose_randomly(signal, rng, CONFIG.input, config, False)
+        assert 1 <= len(chosen) <= CONFIG.input.frames and (np.diff(chosen) > 0).all() and empty == 0
+
+
+def test_a_codec_leaves_flat_blocks_and_multiples_of_its_step() -> None:
+    stack = torch.rand(2, 2, 3, 18, 25, generator=torch.Generator().manual_seed(1)) * 6 + 100
+    drawn = looks(2, codec=(0.0, 12.0), seed=0)
+    seen = randomise(stack, drawn, [(0.0, 0.0)] * 2, replace(STILL, codec_levels=12.0))
+    # Seed 0 has blocks of three pixels. There and back in float32, of 255 levels.
+    assert torch.allclose(seen[0], stack[0], atol=1e-3)
+    tile = seen[1, 0, 0, :3, :3]
+    # Of the noise, 1.7 levels a wave, nothing reaches half of a step of 12; the mean is a multiple of 12 / 3.
+    assert torch.allclose(tile, tile.mean().expand(3, 3), atol=1e-3) and float(tile.mean()) == pytest.approx(
+        4 * round(float(tile.mean()) / 4), abs=1e-3
+    )
+
+
+def test_a_texture_is_where_a_press_touches_and_grows_with_it() -> None:
+    stack = torch.full((1, 3, 3, 48, 64), 100.0)
+    stack[:, 1, :, :, :20] += 10
+    stack[:, 2, :, :, :20] += 20
+    drawn = looks(1, relief=[[30.0, 0.0], [0.0, 30.0], [0.0, 0.0]], seed=7)
+    left = (randomise(stack, drawn, [(0.0, 0.0)], replace(STILL, texture=1.0)) - stack)[0]
+    assert torch.equal(left[0], torch.zeros_like(left[0])) and left[:, :, :, 40:].abs().max() == 0 and left[:, 2].abs().max() == 0
+    assert left[2, 0, :, :12].std() > 1 and torch.allclose(left[1, 0, :, :12], left[2, 0, :, :12] / 2, atol=1e-3)

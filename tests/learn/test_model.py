@@ -35,7 +35,7 @@ def with_output(
     nothing = torch.zeros((count, steps, 3, 1, 1))
     batch = Batch(
         nothing, nothing[:, 0], torch.zeros(count, steps), torch.tensor(lengths), torch.tensor(target), torch.full((count,), rigid),
-        torch.full((count, 3), torch.nan),
+        torch.full((count, 3), torch.nan), torch.zeros(count, dtype=torch.bool),
     )  # fmt: skip
     return Output(mean, spread, torch.zeros(count, 1)), batch
 
@@ -231,7 +231,16 @@ def test_the_papers_network_runs_and_takes_its_weights(tmp_path: Path) -> None:
     load_vgg(other, tmp_path / "w.pth")
     assert torch.equal(other.state_dict()["features.28.weight"], one)
     pictures = 255 * torch.rand(1, 3, 3, 224, 224)
-    batch = Batch(pictures, pictures[:, 0], torch.ones(1, 3), torch.tensor([3]), torch.tensor([30.0]), torch.tensor([False]), GEL[None])
+    batch = Batch(
+        pictures,
+        pictures[:, 0],
+        torch.ones(1, 3),
+        torch.tensor([3]),
+        torch.tensor([30.0]),
+        torch.tensor([False]),
+        GEL[None],
+        torch.tensor([True]),
+    )
     with torch.no_grad():
         # The first picture is subtracted: a change of all three alike changes nothing (up to float32 of a difference of 255 levels).
         a, b = (other(replace(batch, pictures=part)).mean for part in (pictures, pictures + 16.0))
