@@ -121,7 +121,7 @@ def test_the_command_says_both_directions(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_foam_is_pressed_as_hertz_says_when_shallow_and_reads_what_its_modulus_says() -> None:
-    """The contact modulus is E / (1 - nu^2); beyond Hertz forces over it differ by the strain, the contact's radius over the tip's, sqrt(d)."""
+    """The contact modulus is E / (1 - nu^2); beyond Hertz forces differ by the strain, contact over tip radius, that is by sqrt(d)."""
     silicone, depths = durometer.press_curve("00", 0.0), (0.05e-3, 0.2e-3)
     for nu in (0.0, 0.3):
         foam = durometer.press_curve("00", 0.0, poissons_ratio=nu)
