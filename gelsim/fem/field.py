@@ -224,7 +224,7 @@ def exact_distance(body: Body) -> Distance:
     """The signed distance [mm] to an object's exact surface, of points (N, 3) [mm] in its frame."""
     if shapes.has_profile(body):
         return lambda points: MM_PER_M * shapes.signed_distance(body, points / MM_PER_M)
-    surface = shapes.object_surface(body, edge_length=np.inf if shapes.of_file(body) else 0.1e-3, chord=0.2e-6)
+    surface = shapes.object_surface(body, edge_length=np.inf, chord=0.2e-6)
     vertices = surface.vertices * MM_PER_M
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     triangles = wp.Mesh(

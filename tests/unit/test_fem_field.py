@@ -64,9 +64,13 @@ def wedge(turned: float) -> tuple[np.ndarray, np.ndarray, object]:
     return along, out, distance
 
 
-@pytest.mark.parametrize("shape", ["hemisphere", "cylinder", "torus", "cone", "punch", "frustum", "tomato", "edge", "flat", "box", "candy"])
-def test_closed_forms_are_the_distance_to_fine_triangles(shape: str, rng: np.random.Generator) -> None:
-    body = Body(shape=shape, rigid=True)
+@pytest.mark.parametrize(
+    "shape",
+    ["hemisphere", "cylinder", "torus", "cone", "punch", "frustum", "tomato", "edge", "flat", "box", "candy", "wave", "emboss", "corner"],
+)
+def test_distances_are_those_to_fine_triangles(shape: str, rng: np.random.Generator) -> None:
+    """By closed forms, and for reliefs and corners by triangles that are no smaller than they must be, whatever their size."""
+    body = Body(shape=shape, rigid=True, height_mm=30.0)
     surface = shapes.object_surface(body, edge_length=0.4e-3, chord=1e-6)
     vertices = surface.vertices * 1e3
     mesh = wp.Mesh(points=wp.array(vertices.astype(np.float32), dtype=wp.vec3f, device="cpu"),
