@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gelsim.errors import GelsimError, SceneError, SolveError
     from gelsim.live.sensor import LiveFrame, LiveSensor
     from gelsim.pipeline.poses import press_many
-    from gelsim.pipeline.stages import press, press_batch, press_sensitivity, render, simulate
+    from gelsim.pipeline.stages import press, press_sensitivity, render, simulate
     from gelsim.results import Deformation, Episode, Frame, Membrane, PressSensitivity
     from gelsim.scene.definition import Scene
     from gelsim.scene.layers import load_scene
@@ -37,7 +37,6 @@ _HOMES = {
     "load_dataset": "gelsim.data.episodes",
     "load_scene": "gelsim.scene.layers",
     "press": "gelsim.pipeline.stages",
-    "press_batch": "gelsim.pipeline.stages",
     "press_many": "gelsim.pipeline.poses",
     "press_sensitivity": "gelsim.pipeline.stages",
     "render": "gelsim.pipeline.stages",
@@ -59,7 +58,6 @@ __all__ = [
     "load_dataset",
     "load_scene",
     "press",
-    "press_batch",
     "press_many",
     "press_sensitivity",
     "render",
