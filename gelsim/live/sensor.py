@@ -188,7 +188,23 @@ class LiveSensor:
         """
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
             raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
-        turn, shift = _pose(pose)
+        self._go(*_pose(pose))
+        return self._frame()
+
+    def ahead(self, pose: ArrayLike) -> Patch:
+        """How the gel would answer at a pose: as `step` and `patch` would, but it stays where it is, and remembers nothing of it."""
+        kept = self._state, self._pose, self._clear
+        self._go(*_pose(pose))
+        patch = self.patch()
+        self._state, self._pose, self._clear = kept
+        return patch
+
+    @property
+    def clearance(self) -> float:
+        """Least gap between object and gel along z at the last pose [m]; 0 where they touch, and before the first."""
+        return self._clear * MM
+
+    def _go(self, turn: Array, shift: Array) -> None:
         before = self._pose
         ways = [(turn, shift)]
         if before is not None and self._state.pressure.any() and self._friction:
@@ -198,7 +214,6 @@ class LiveSensor:
         for way in ways[:-1]:
             self._move(way, self._seen(*way))
         self._move((turn, shift), last)
-        return self._frame()
 
     def image(self) -> NDArray[np.uint8]:
         """The picture of the present state, 8-bit sRGB, shape (H, W, 3): for a loop that steps more often than it looks."""
