@@ -202,7 +202,7 @@ GRAZE = 1e-9
 
 
 RETURNED = 0.7
-"""Of what a touch got, at most; 0.55 was found in ten minutes, the rest is lost to the step (docs/live.md)."""
+"""Of what a touch got, at most; 0.55 was found in eight minutes, the rest is lost to the step (docs/live.md)."""
 
 
 def gains(touches: np.ndarray) -> np.ndarray:
