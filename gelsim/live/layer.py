@@ -45,10 +45,14 @@ SETTLED = 2e-3
 """Relative change of the pressure, and of the thickness, at which the rounds end."""
 NODES = 0.01
 """Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
+KEPT = 256
+"""Answers of windows and thicknesses that a layer keeps, 0.2 MB each for 128 × 128 cells."""
 PUNCH_TOLERANCE = 0.05
 """Of the motion of a flat punch, RMS over its cells."""
 STEPS = 200
 """Of a gradient method, at most."""
+LOOKS = 3
+"""For the place of a material point: u_t falls by half over a thickness at least, so each gains a factor of three or more."""
 _WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 300.0, 3000)])
 
 
@@ -129,7 +133,7 @@ class Layer:
                 cut[reach] = space[reach]
                 space = np.moveaxis(cut, 0, axis)
         found: Any = fft.rfft2(space)
-        return self._nodes.setdefault((shape, node), np.concatenate([found[:4].real, found[4:].imag]))
+        return _keep(self._nodes, (shape, node), np.concatenate([found[:4].real, found[4:].imag]))
 
     def _space(self, node: int) -> Values:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
@@ -150,7 +154,15 @@ class Layer:
         xx[0, 0] = yy[0, 0] = thickness / shear
         answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
         moved: Any = fft.irfft2(answers.astype(np.complex64), self.shape)
-        return self._spaces.setdefault(node, moved)
+        return _keep(self._spaces, node, moved)
+
+
+def _keep(table: dict[Any, Values], key: Any, value: Values) -> Values:
+    """Puts a value into a table, from which the oldest goes where it is full."""
+    if len(table) >= KEPT:
+        del table[next(iter(table))]
+    table[key] = value
+    return value
 
 
 @lru_cache(maxsize=64)

@@ -9,9 +9,9 @@ One sensor, one rigid object. `gelsim.live.layer` has the mechanics, `gelsim.liv
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,13 +23,15 @@ from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Values, Window
 from gelsim.live.patch import Patch, torque
 from gelsim.membrane.markers import marker_layout
-from gelsim.membrane.surface import Grid
 from gelsim.optics.camera import marker_pixels
 from gelsim.results import Membrane
 from gelsim.scene import materials
 from gelsim.scene.definition import Scene
 from gelsim.shape.shapes import gel_height
 from gelsim.units import MM, MM_PER_M
+
+if TYPE_CHECKING:
+    from gelsim.live.drawing import Drawer
 
 Array = NDArray[np.float64]
 Place = tuple[slice, slice]
@@ -38,8 +40,6 @@ MOST_TRAVEL_MM = 0.1
 """Of the object in one increment of friction; a longer step is cut."""
 DEEPEST = 0.6
 """Indentation over thickness up to which it was measured; deeper ones are refused."""
-LOOKS = 3
-"""For the place of a material point: u_t falls by half over a thickness at least, so each gains a factor of three or more."""
 RISE = 0.5
 """Of the deepest overlap: cells over which the object is no higher are looked at, as the gel rises beside a contact."""
 WINDOW = 8
@@ -188,7 +188,23 @@ class LiveSensor:
         """
         if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
             raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
-        turn, shift = _pose(pose)
+        self._go(*_pose(pose))
+        return self._frame()
+
+    def ahead(self, pose: ArrayLike) -> Patch:
+        """How the gel would answer at a pose: as `step` and `patch` would, but it stays where it is, and remembers nothing of it."""
+        kept = self._state, self._pose, self._clear
+        self._go(*_pose(pose))
+        patch = self.patch()
+        self._state, self._pose, self._clear = kept
+        return patch
+
+    @property
+    def clearance(self) -> float:
+        """Least gap between object and gel along z at the last pose [m]; 0 where they touch, and before the first."""
+        return self._clear * MM
+
+    def _go(self, turn: Array, shift: Array) -> None:
         before = self._pose
         ways = [(turn, shift)]
         if before is not None and self._state.pressure.any() and self._friction:
@@ -198,19 +214,20 @@ class LiveSensor:
         for way in ways[:-1]:
             self._move(way, self._seen(*way))
         self._move((turn, shift), last)
-        return self._frame()
 
     def image(self) -> NDArray[np.uint8]:
         """The picture of the present state, 8-bit sRGB, shape (H, W, 3): for a loop that steps more often than it looks."""
-        return self._drawer.draw(self.displaced, self._spots(self._state))
+        return self._drawer.draw(self._state.field)
 
     def marker_pixels(self) -> Array:
         """(column, row) of the marker centres in the present state [px], (K, 2); NaN outside the picture."""
         return self._marker_pixels(self._state)
 
     @cached_property
-    def _drawer(self) -> _Drawer:
-        return _Drawer(self._scene, self._device)
+    def _drawer(self) -> Drawer:
+        from gelsim.live.drawing import Drawer  # and Mitsuba
+
+        return Drawer(self._scene, self._layer, self._device)
 
     def patch(self) -> Patch:
         """The cells that touch, and how their forces go on over a small motion: for an implicit step of a simulator around the sensor."""
@@ -344,7 +361,7 @@ class LiveSensor:
     def _displaced(self, state: State, places: Array) -> Array:
         rest = places * MM_PER_M
         at = rest
-        for _ in range(LOOKS):  # x = X + u_t(x)
+        for _ in range(gel_layer.LOOKS):  # x = X + u_t(x)
             at = rest + self._read(state.field[:2], at).T
         height = self._read(state.field[2], at) * MM + gel_height(self._scene.gel, at * MM)
         return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
@@ -353,22 +370,6 @@ class LiveSensor:
         """Of the grid, (..., M), at places (M, 2) [mm]."""
         layer = self._layer
         return gel_layer.between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
-
-
-class _Drawer:
-    """Membranes and pictures of one sensor, made ready once."""
-
-    def __init__(self, scene: Scene, device: str) -> None:
-        from gelsim.optics import bake
-        from gelsim.optics.baked import BakedRenderer
-        from gelsim.optics.variant import choose_variant
-
-        variant = choose_variant(device)
-        self._renderer = BakedRenderer(scene, bake.light_field(scene, variant), variant)
-        self._grid = Grid(scene.gel, gel_layer.CELL_MM * MM)  # a finer one would show the layer's cells as facets
-
-    def draw(self, displaced: Callable[[Array], Array], markers: Array) -> NDArray[np.uint8]:
-        return self._renderer.frames([self._grid.membrane(displaced(self._grid.places), markers)])[0][1]
 
 
 def _check(scene: Scene) -> None:

@@ -62,16 +62,17 @@ class BakedRenderer:
         *,
         shadows: bool = True,
         indirect: bool = True,
+        cell: float = CELL,
         like: BakedRenderer | None = None,
     ) -> None:
-        """Of `variant` the backend is taken; without `shadows` or `indirect` those are left out.
+        """Of `variant` the backend is taken; without `shadows` or `indirect` those are left out; `cell` [mm] is that of inter-reflection.
 
         `like`: Of a scene that differs in the powers and colours of its lights, markers, grain and what comes after the light alone, with
         the same table of light: what it has made ready is used again.
         """
         self._scene, self._field = scene, light_field
         self._like = like
-        self._shadows, self._indirect = shadows, indirect
+        self._shadows, self._indirect, self._cell = shadows, indirect, cell
         self._arrays: Arrays = choose_arrays(variant)
         self._tables: dict[str, Any] = {}
         self._layout: Layout | None = None
@@ -164,7 +165,7 @@ class BakedRenderer:
         width, height = scene.render.resolution
         shade = max(SHADE_PIXELS, round(SHADE_MM / (pixel_size(scene) * MM_PER_M)))
         size = np.array(scene.gel.size_mm)
-        cells, fine = ((int(np.ceil(size[0] / cell)) + 1, int(np.ceil(size[1] / cell)) + 1) for cell in (CELL, FINE_CELL))
+        cells, fine = ((int(np.ceil(size[0] / cell)) + 1, int(np.ceil(size[1] / cell)) + 1) for cell in (self._cell, FINE_CELL))
         self._tables = {"field": put(_packed(light_field.table))}
         for name, (across, down, step) in {"full": (width, height, 1), "coarse": (*coarse_size(width, height, shade), shade)}.items():
             column, row = np.meshgrid((np.arange(across) + 0.5) * step, (np.arange(down) + 0.5) * step)

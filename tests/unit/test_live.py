@@ -141,6 +141,17 @@ def test_answers_between_two_thicknesses() -> None:
         assert np.abs(answer - geometric).max() < 1.2e-4 * np.abs(low).max()
 
 
+def test_a_layer_keeps_so_many_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And finds again what it has let go."""
+    monkeypatch.setattr(gel_layer, "KEPT", 3)
+    grid = Layer((12.0, 12.0), GEL)
+    first = grid.window((24, 24), 1.0).answers
+    for thickness in np.linspace(1.0, 2.4, 20):
+        grid.window((24, 24), thickness)
+    assert max(len(grid._nodes), len(grid._spaces)) == 3
+    assert np.array_equal(grid.window((24, 24), 1.0).answers, first)
+
+
 @pytest.mark.parametrize("friction", [0.5, "stick"])
 def test_what_is_looked_at_holds_the_contact(friction: float | str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A flat ball, pressed and drawn along, before which the gel rises: cells that are not looked at would stay without pressure."""

@@ -11,6 +11,7 @@ pytest.importorskip("mujoco")
 import mujoco
 
 from gelsim.errors import SceneError
+from gelsim.live import layer as gel_layer
 from gelsim.live.mujoco import Pad, Touch, add_pad
 from gelsim.live.patch import Patch
 from gelsim.scene.definition import Scene
@@ -48,11 +49,11 @@ def world(friction: float, *, mass: float = 0.01, height: float = 0.0, free_pad:
     return Touch(model, mujoco.MjData(model), [Pad(model, "pad", "ball", scene(friction))], period)
 
 
-def place(touch: Touch, x: float, y: float, z: float) -> float:
-    """Puts the ball's lowest point to a place in mm and asks the sensor there; the normal force on the gel [N], negative."""
+def place(touch: Touch, x: float, y: float, z: float) -> np.ndarray:
+    """Puts the ball's lowest point to a place in mm and asks the sensor there; the force on the gel [N], (3,)."""
     touch.data.qpos[:3] = np.array([x, y, z]) * 1e-3 + [0, 0, RADIUS]
     mujoco.mj_kinematics(touch.model, touch.data)
-    return float(touch.pads[0].sensor.step(touch.pads[0].pose(touch.data), 0.002).force[2])
+    return touch.pads[0].sensor.step(touch.pads[0].pose(touch.data), 0.002).force
 
 
 def exchange(touch: Touch) -> tuple[float, float, float]:
@@ -140,64 +141,139 @@ def test_a_closed_path_gains_no_energy() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-def test_a_micrometre_changes_the_force_by_twice_its_stiffness_at_most(friction: float) -> None:
+def test_a_micrometre_changes_the_force_by_twice_its_stiffness_at_most(friction: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To and fro along any axis; that stiffness is the normal one, the greatest."""
     touch = world(friction)
-    for depth in (0.2, 0.5):
+    rng = np.random.default_rng(0)
+    moves = (rng.choice([-1e-3, 1e-3], (30, 1)) * np.eye(3)[rng.integers(3, size=30)]).cumsum(axis=0)
+
+    def most(depth: float) -> float:
+        """Change of force by a micrometre, over the stiffness."""
         force = place(touch, 0, 0, -depth)
-        stiff = (place(touch, 0, 0, -depth - 0.02) - force) / -0.02
-        moves = np.random.default_rng(0).choice([-1e-3, 1e-3], 20).cumsum()
-        forces = np.array([place(touch, 0, 0, -depth - 0.02 + move) for move in moves])
-        assert np.abs(np.diff(forces)).max() < 2 * stiff * 1e-3
-        assert np.ptp(forces) > 0.5 * stiff * np.ptp(moves)  # it does answer
+        stiff = (place(touch, 0, 0, -depth - 0.02) - force)[2] / -0.02
+        forces = np.array([place(touch, *(move - [0, 0, depth + 0.02])) for move in moves])
+        assert np.ptp(forces[:, 2]) > 0.5 * stiff * np.ptp(moves[:, 2])  # it does answer
+        return float(np.linalg.norm(np.diff(forces, axis=0), axis=1).max() / stiff / 1e-3)
+
+    assert max(most(0.2), most(0.5)) < 2  # 1.2
+    solve = gel_layer.pressure
+    monkeypatch.setattr(gel_layer, "pressure", lambda *given: tuple(part * rng.uniform(0.99, 1.01) for part in solve(*given)))
+    assert max(most(0.2), most(0.5)) > 2  # planted: a solution that is 1 % off, each time another way
+
+
+def stepped(touch: Touch) -> float:
+    """One step; the energy [J] that the gel gives the ball, which does not turn: its force times the mean of both speeds, exactly."""
+    before = touch.data.qvel[:3].copy()
+    touch.step()
+    return float(-touch.pads[0].wrench[:3] @ (before + touch.data.qvel[:3]) / 2 * touch.model.opt.timestep)
 
 
 def shaken(steps: int, period: float = 0.0, turns: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A ball on a gel, thrown about by random forces like its weight: places [m], speeds [m/s], forces on the gel [N]; (steps, 3) each.
+    """A ball on a gel, thrown about by random forces like its weight: energies from the gel [J] (steps,), speeds [m/s] and forces on the
+    gel [N], (steps, 3) each.
 
     Without `turns` it is so heavy to turn that it does not roll.
     """
     touch = world(0.5, mass=0.005, period=period)
     rng, ball = np.random.default_rng(2), touch.model.body("ball").id
     touch.model.dof_damping[3:6] = 2e-6 if turns else 1e3
-    found, push = np.zeros((3, steps, 3)), np.zeros(3)
+    energies, found, push = np.zeros(steps), np.zeros((2, steps, 3)), np.zeros(3)
     for step in range(steps):
         if step % 25 == 0:
             push = rng.normal(size=3) * [0.02, 0.02, 0.04]
             touch.data.xfrc_applied[ball, 3:] = rng.normal(size=3) * 1e-6
         # a soft spring to the middle of the gel keeps it there
         touch.data.xfrc_applied[ball, :3] = push - 20 * (touch.data.qpos[:3] - [0, 0, RADIUS]) - 0.2 * touch.data.qvel[:3]
-        touch.step()
-        found[:, step] = touch.data.qpos[:3], touch.data.qvel[:3], touch.pads[0].wrench[:3]
-    return found[0], found[1], found[2]
+        energies[step] = stepped(touch)
+        found[:, step] = touch.data.qvel[:3], touch.pads[0].wrench[:3]
+    return energies, found[0], found[1]
+
+
+def exchanged(energies: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """What the gel got and gave back [J] in each touch, from air to air: (touches, 2)."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], forces.any(axis=1), [0]]).astype(int)))
+    touches = [energies[first:last] for first, last in ends.reshape(-1, 2)]
+    return np.array([[-np.minimum(touch, 0).sum(), np.maximum(touch, 0).sum()] for touch in touches])
 
 
 SLOW = pytest.mark.slow
+GRAZE = 1e-9
+"""Energy of a touch that does not count [J]: the ball's weight over 20 nm."""
+
+
+RETURNED = 0.7
+"""Of what a touch got, at most; 0.55 was found in eight minutes, the rest is lost to the step (docs/live.md)."""
+
+
+def gains(touches: np.ndarray) -> np.ndarray:
+    return touches[:, 1] > RETURNED * touches[:, 0] + GRAZE
 
 
 @pytest.mark.parametrize(("seconds", "turns"), [(0.4, True), pytest.param(3, True, marks=SLOW), pytest.param(600, False, marks=SLOW)])
 def test_random_motion_stays_finite(seconds: float, turns: bool) -> None:
-    """Ten minutes without turning, 12 minutes of a processor: each degree of a roll needs a map of its own."""
-    _, speeds, forces = shaken(round(500 * seconds), 0.0 if turns else 0.02, turns)
+    """Ten minutes without turning, 12 minutes of a processor: each degree of a roll needs a map of its own. No touch of it gains energy."""
+    energies, speeds, forces = shaken(round(500 * seconds), 0.0 if turns else 0.02, turns)
     assert np.isfinite(forces).all() and np.linalg.norm(speeds, axis=1).max() < 1.0
     assert forces.any(axis=1).mean() > 0.2
+    if not turns:
+        assert not gains(exchanged(energies, forces)).any()
 
 
-def gained(places: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Of each touch, from air to air: the work of the gel on the ball over that of the ball on the gel, which is 1 if nothing is lost."""
-    work = -(forces[1:] * np.diff(places, axis=0)).sum(axis=1)  # a step's force is constant in it
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], forces[1:].any(axis=1), [0]]).astype(int)))
-    touches = [work[first:last] for first, last in ends.reshape(-1, 2)]
-    return np.array([np.maximum(touch, 0).sum() / max(-np.minimum(touch, 0).sum(), 1e-12) for touch in touches])
+def late(held: object) -> object:
+    """A step by the forces of the one before."""
+    last = [np.zeros(6)]
+
+    def push(self: Touch, levers: list, wrenches: np.ndarray) -> None:
+        last.append(wrenches)
+        held(self, levers, last.pop(0))  # type: ignore[operator]
+
+    return push
 
 
-@pytest.mark.parametrize("seconds", [1.0, pytest.param(10, marks=SLOW)])
-def test_no_touch_of_a_random_motion_gains_energy(seconds: float) -> None:
-    """Each touch gives back no more than it got, within 1 %; of 2052 in ten minutes 5 gave back more, whose energy is not known."""
-    places, _, forces = shaken(round(500 * seconds), 0.02, turns=False)
-    back = gained(places, forces)
-    assert len(back) > 2 * seconds and back.max() < 1.01
-    forces[1:][np.diff(places[:, 2]) > 0] *= 1.5  # planted: pushed out harder
-    assert gained(places, forces).max() > 1.01
+def test_no_touch_of_a_random_motion_gains_energy(monkeypatch: pytest.MonkeyPatch) -> None:
+    def shake() -> np.ndarray:
+        energies, _, forces = shaken(750, 0.02, turns=False)
+        return exchanged(energies, forces)
+
+    touches = shake()
+    assert len(touches) > 3 and np.median(touches[:, 0]) > 100 * GRAZE
+    assert not gains(touches).any()
+    wrench = Patch.wrench
+    monkeypatch.setattr(Patch, "wrench", lambda self, motion: wrench(self, motion) * (2.0 if motion[2] > 0 else 1.0))
+    assert gains(shake()).any()  # planted: what leaves is pushed twice as hard
+
+
+@pytest.mark.parametrize("mass", [1e-4, 2e-3, 5e-2])
+def test_a_ball_shot_at_a_gel_comes_back_no_faster(mass: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much of a step it flies; of 0.1 g, whose whole touch is shorter than a step, too."""
+    touch = world(0.5, mass=mass)
+    touch.model.opt.gravity[:] = 0
+
+    def shot(speed: float, share: float) -> tuple[float, float]:
+        """Speed after over speed before, and the energy from the gel over that before."""
+        mujoco.mj_resetData(touch.model, touch.data)
+        touch.reset()
+        touch.data.qpos[2], touch.data.qvel[2] = RADIUS + share * speed * 0.002, -speed
+        energy = 0.0
+        for _ in range(300):
+            energy += stepped(touch)
+            if touch.data.qvel[2] > 0 and touch.data.qpos[2] > RADIUS + 1e-4:
+                break
+        return float(touch.data.qvel[2]) / speed, energy / (mass * speed**2 / 2)
+
+    def fastest() -> float:
+        return max(shot(speed, share)[0] for speed in (0.05, min(0.3, 0.002 / mass)) for share in (0.02, 0.5, 0.98))
+
+    assert 0 < fastest() < 0.9
+    back, energy = shot(0.05, 0.5)
+    assert energy == pytest.approx(back**2 - 1, rel=1e-6)  # which is how `stepped` counts
+    if mass < 1e-3:
+        monkeypatch.setattr("gelsim.live.mujoco.CORRECTIONS", 0)  # planted: nothing brakes it in the step in which it comes
+        assert fastest() > 1
+        return
+    monkeypatch.setattr(Touch, "_push", late(Touch._push))  # planted
+    with pytest.raises((AssertionError, SceneError)):  # or too deep
+        assert fastest() < 1
 
 
 def test_between_its_answers_a_gel_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
