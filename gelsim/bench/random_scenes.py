@@ -25,9 +25,9 @@ MEMORY = 8 * GIGABYTE
 WANTED = 0.995
 
 
-def draw(index: int) -> Layer:
+def draw(index: int, seed: int = SEED) -> Layer:
     """Scene number `index`, as a scene file has it."""
-    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(index,)))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
 
     def between(low: float, high: float, digits: int = 3) -> float:
         return round(float(rng.uniform(low, high)), digits)
@@ -68,7 +68,7 @@ def _cases(options: Options) -> Iterator[Case]:
     bounded = Bounded(measure_drawn, SECONDS, MEMORY)
     for index in range(QUICK_COUNT if options.quick else COUNT):
         scene = draw(index)
-        named: Row = {"shape": scene["object"]["shape"], "said": _said(scene), "friction": scene["contact"]["friction_coefficient"]}
+        named: Row = {"shape": scene["object"]["shape"], "said": said(scene), "friction": scene["contact"]["friction_coefficient"]}
         yield Case(f"{index:03d}", lambda index=index, named=named: named | bounded(index), scene)
 
 
@@ -76,7 +76,7 @@ def measure_drawn(index: int) -> Row:
     return presses.measure(draw(index))
 
 
-def _said(scene: Layer) -> str:
+def said(scene: Layer) -> str:
     """A scene in a few words."""
     body, press = scene["object"], scene["press"]
     words = [body["shape"] + (f" R {body['radius_mm']:g}" if "radius_mm" in body else "")]
