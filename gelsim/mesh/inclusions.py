@@ -153,6 +153,8 @@ def _grain_centres(body: Body) -> tuple[tuple[float, ...], ...]:
     centres = np.zeros((0, 3))
     for _ in range(_TRIES if (low < high).all() else 0):
         trial = rng.uniform(low, high, (body.grains.count, 3))
+        # Whether a place is within the object is dear, and where there is hardly room left most are taken.
+        trial = trial[(np.linalg.norm(trial[:, None] - centres, axis=2) > radius + room).all(axis=1)]
         trial = trial[(patch_distances(around.patches, trial) > room).all(axis=1)]
         trial = trial[winding_numbers(trial, surface) > 0.5]
         for point in trial:
