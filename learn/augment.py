@@ -24,9 +24,9 @@ SCALE_ERROR, CENTRE_ERROR = 0.03, 0.1
 """How well scale [relative] and contact's place [standard deviation, half widths] are known of pictures at the network's scale."""
 WIDEST = 0.5
 """Of a border [half picture widths]."""
-MOST_RELIEF, COARSEST, REACH, CHANGE = 40.0, 7, 6, 20.0
-"""Of textures: the largest standard deviation of what slopes do [levels], their grain, and over which pixels a change of how many levels
-brings them out whole."""
+MOST_RELIEF, GRAINS, REACH, CHANGE = 40.0, (2, 8), 6, 20.0
+"""Of textures: the largest standard deviation of what slopes do [levels], their finest and coarsest grain [px], and over how many pixels a
+change of how many levels brings them out whole."""
 BLOCKS = (3, 4, 5, 8)
 """Of codecs, 8 or 16 pixels of a camera's picture of which the network sees one in two or three."""
 LATEST = 1 / 3
@@ -47,7 +47,9 @@ LOOK = np.dtype([
     ("blur", np.float32),        # standard deviation [px]
     ("noise", np.float32),       # of noise on top of the camera's [levels]
     ("relief", np.float32, (3, 2)),   # of a texture where it touches: what its slopes in x and y do to each colour [levels]
+    ("grain", np.int64),         # of the texture [px]
     ("codec", np.float32),       # step of a codec [levels]
+    ("block", np.int64),         # side of its blocks [px]
     ("seed", np.int64),          # of noise and texture
     ("hide_gel", np.bool_),      # the network is not told the gel
 ])  # fmt: skip
@@ -111,7 +113,8 @@ def draw_look(rng: np.random.Generator, config: AugmentConfig, shown_mm: float |
         look["noise"] = rng.uniform(0, config.noise_levels)
         if rng.random() < config.texture:
             look["relief"] = rng.normal(0, rng.uniform(0, MOST_RELIEF), (3, 2))
-        look["codec"] = rng.uniform(0, config.codec_levels)
+        look["grain"] = rng.integers(GRAINS[0], GRAINS[1] + 1)
+        look["codec"], look["block"] = rng.uniform(0, config.codec_levels), rng.choice(BLOCKS)
     look["seed"] = rng.integers(2**62)
     look["hide_gel"] = config.augment and rng.random() < config.hide_gel
     return look
@@ -162,7 +165,9 @@ def randomise(
         variance = per_press(flat**2 + looks["noise"] ** 2) + per_press(shot) * stack.clamp_min(0)
         stack = stack + drawn * variance.sqrt()
     if config.augment and config.codec_levels > 0:
-        stack = _coded(stack, per_press(looks["codec"]), BLOCKS[int(looks["seed"][0]) % len(BLOCKS)])
+        for block in np.unique(looks["block"][looks["codec"] > 0]):
+            mine = torch.from_numpy(np.flatnonzero(looks["block"] == block)).to(stack.device, non_blocking=True)
+            stack = stack.index_copy(0, mine, _coded(stack[mine], per_press(looks["codec"])[mine], int(block)))
     # A camera clips; averaging has happened before, so this is the clipping of the mean only.
     return stack.clamp(0, 255) if config.augment else stack
 
@@ -192,16 +197,16 @@ def _cut(stack: torch.Tensor, looks: NDArray, deadband: float) -> tuple[torch.Te
 
 
 def _textured(stack: torch.Tensor, looks: NDArray) -> torch.Tensor:
-    """With a relief of one wavelength a batch, each press its own, shaded by its slopes; as strong as what is below it has changed."""
-    count, _, _, rows, columns = stack.shape
+    """With a relief, shaded by its slopes, as strong as what is below it has changed."""
+    rows, columns = stack.shape[-2:]
     relief = torch.from_numpy(looks["relief"].copy()).to(stack.device, non_blocking=True)
     generator = torch.Generator(stack.device)
-    coarse = [max(side // (2 + int(looks["seed"][0]) % COARSEST), 2) for side in (rows, columns)]
-    heights = torch.empty((count, 1, *coarse), device=stack.device)
-    for number, seed in enumerate(looks["seed"]):
-        heights[number].normal_(generator=generator.manual_seed(int(seed) ^ 1))
-    heights = functional.interpolate(heights, (rows, columns), mode="bicubic")[:, 0]
-    slopes = torch.stack(torch.gradient(heights, dim=(-1, -2)), dim=1)
+    heights = []
+    for grain, seed in looks[["grain", "seed"]]:
+        coarse = torch.empty((1, 1, *(max(side // int(grain), 2) for side in (rows, columns))), device=stack.device)
+        coarse.normal_(generator=generator.manual_seed(int(seed) ^ 1))
+        heights.append(functional.interpolate(coarse, (rows, columns), mode="bicubic")[0, 0])
+    slopes = torch.stack(torch.gradient(torch.stack(heights), dim=(-1, -2)), dim=1)
     change = (stack - stack[:, :1]).abs().mean(dim=2)
     touched = functional.avg_pool2d(change, 2 * REACH + 1, 1, REACH, count_include_pad=False).div(CHANGE).clamp(0, 1)
     return stack + torch.einsum("bcs,bshw->bchw", relief, slopes)[:, None] * touched[:, :, None]
