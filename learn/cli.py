@@ -145,7 +145,10 @@ def _parser() -> Parser:
     for command, run in ((train, _train), (evaluate, _evaluate), (predict, _predict)):
         command.set_defaults(run=run, parser=command)
         command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to compute (default: auto)")
-        command.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+        said = command.add_mutually_exclusive_group() if command is predict else command
+        said.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+        if command is predict:
+            said.add_argument("--json-lines", action="store_true", help="print a JSON object for each press as soon as it is read")
         command.add_argument("--debug", action="store_true", help="show the Python trace of an internal error")
     return parser
 
@@ -240,7 +243,9 @@ def _predict(options: argparse.Namespace) -> int:
     ):  # fmt: skip
         answer = predict.beside(answer, identified) if identified else answer
         answers.append(answer)
-        if not options.json:
+        if options.json_lines:
+            print(json.dumps(answer, allow_nan=False), flush=True)
+        elif not options.json:
             failed = answer["status"] == "unreadable"
             print(predict.in_words(answer), file=sys.stderr if failed else sys.stdout, flush=True)
     if options.json:

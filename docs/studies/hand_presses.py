@@ -1,11 +1,12 @@
 """How well are real things ranked by hardness? Videos of everyday things in three classes, read by networks that saw none of them.
 
-    python docs/studies/hand_presses.py FOLDER --mm-per-px 0.058 --sensor gelsight_mini [--model default] [--csv readings.csv]
+    python docs/studies/hand_presses.py FOLDER --mm-per-px 0.058 --sensor gelsight_mini [--model default] [--sheet forty.png]
 
 FOLDER holds labels.csv (file, object, thing, hardness_rank: 0 soft, 1 moderately hard, 2 hard). Each video is decoded once and read by each
 network with gel and scale told, with either, and with neither. Things are split in two by the parity of their place in the alphabet:
 choices are made on the first half, the second is held back. Spearman is by object (the mean of its videos' readings), the areas under the
-curve by video; a video that shows no contact counts as the mean of the others.
+curve by video; a video that shows no contact counts as the mean of the others. --csv writes every reading; --sheet draws forty videos,
+evenly taken: untouched, pressed, the change tripled, and what the first network says of them, told gel and scale.
 """
 
 import argparse
@@ -40,6 +41,24 @@ def area(readings: np.ndarray, above: np.ndarray, below: np.ndarray) -> float:
     return float(np.mean((over > 0) + 0.5 * (over == 0)))
 
 
+def sheet(path: Path, presses: list[Press], words: list[str]) -> None:
+    """Draws presses with a line each, four beside each other."""
+    from PIL import Image, ImageDraw
+
+    tiles = []
+    for press, line in zip(presses, words, strict=True):
+        last = press.pictures[-1]
+        parts = [press.background, last, 128 + 3 * (last - press.background)]
+        tile = Image.fromarray(np.hstack(parts).clip(0, 255).astype(np.uint8))
+        framed = Image.new("RGB", (tile.width + 6, tile.height + 20), "white")
+        framed.paste(tile, (0, 16))
+        ImageDraw.Draw(framed).text((2, 2), line, fill="black")
+        tiles.append(np.asarray(framed))
+    rows = [np.hstack(tiles[first : first + 4]) for first in range(0, len(tiles) - len(tiles) % 4, 4)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.vstack(rows)).save(path)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -47,6 +66,7 @@ def main() -> None:
     parser.add_argument("--mm-per-px", type=float, required=True)
     parser.add_argument("--sensor", required=True)
     parser.add_argument("--csv", type=Path, help="where every reading is written")
+    parser.add_argument("--sheet", type=Path, help="where forty presses are drawn")
     options = parser.parse_args()
     with (options.folder / "labels.csv").open(newline="") as opened:
         rows = list(csv.DictReader(opened))
@@ -65,6 +85,12 @@ def main() -> None:
             words = ", ".join(name for name, known in (("gel", told is gel), ("scale", scale is not AS_IT_IS)) if known) or "nothing"
             for name, ensemble in networks.items():
                 said = [ensemble.read([replace(press, gel=told)]) for press in seen if press is not None]
+                if options.sheet and not options.sheet.exists():
+                    shown = [touching[int(place)] for place in np.linspace(0, len(touching) - 1, 40)]
+                    of = {number: part for number, part in zip(touching, said, strict=True)}
+                    lines = [f"{rows[n]['object']} (class {ranks[n]} of 0 to 2): Shore 00 {of[n].mean[0]:.0f} +- {of[n].spread[0]:.0f}"
+                             for n in shown]  # fmt: skip
+                    sheet(options.sheet, [press for n in shown if (press := seen[n]) is not None], lines)
                 readings = np.full(len(rows), np.mean([part.mean[0] for part in said]))
                 readings[touching] = [part.mean[0] for part in said]
                 for part in (0, 1):

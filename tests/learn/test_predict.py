@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
@@ -271,6 +272,16 @@ def test_exit_codes_of_predict(tiny_run: Path, press: np.ndarray, tmp_path: Path
     assert cli.main(["predict", "--model", model, str(good), "none.mp4"]) == 4
     assert cli.main(["predict", "--model", model, "none.mp4"]) == 2
     assert capsys.readouterr().out.count("Shore 00") == 2
+
+
+def test_json_lines_are_an_object_a_press(tiny_run: Path, press: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, model = film(tmp_path / "press.mkv", press), str(tiny_run / "model.pt")
+    assert cli.main(["predict", "--model", model, "--json-lines", str(good), "none.mp4", str(good)]) == 4
+    first, second, third = map(json.loads, capsys.readouterr().out.splitlines())
+    assert first == third and first["status"] == "ok" and second["source"] == "none.mp4" and second["status"] == "unreadable"
+    assert cli.main(["predict", "--model", model, "--json", str(good)]) == 0
+    assert json.loads(capsys.readouterr().out)["presses"] == [first]
+    assert cli.main(["predict", "--json", "--json-lines", str(good)]) == 2
 
 
 def test_the_fake_press_is_as_large_as_its_dataset(rng: np.random.Generator) -> None:
