@@ -182,12 +182,13 @@ def _cut(stack: torch.Tensor, looks: NDArray, deadband: float) -> tuple[torch.Te
     affine[:, 1, 0], affine[:, 1, 1] = across * np.sin(turn) / aspect, down * np.cos(turn)
     affine[:, :, 2] = looks["centre"]
     boxes = torch.from_numpy(affine).to(stack.device, non_blocking=True)
-    scaled = torch.from_numpy(looks["scaled"].copy()).to(stack.device, non_blocking=True)
-    size = torch.from_numpy(np.abs(looks["size"])).to(stack.device, non_blocking=True)
-    # As `learn.framing.at_scale`: within the picture where that is the larger, the picture in the middle where it is the smaller.
-    slack = (1 - size).clamp_min(0)
-    about = (boxes[:, :, 2] + _contact(stack, deadband)).clamp(-slack, slack)
-    boxes[:, :, 2] = torch.where(scaled[:, None], about, boxes[:, :, 2])
+    if looks["scaled"].any():
+        scaled = torch.from_numpy(looks["scaled"].copy()).to(stack.device, non_blocking=True)
+        size = torch.from_numpy(np.abs(looks["size"])).to(stack.device, non_blocking=True)
+        # As `learn.framing.at_scale`: within the picture where that is the larger, the picture in the middle where it is the smaller.
+        slack = (1 - size).clamp_min(0)
+        about = (boxes[:, :, 2] + _contact(stack, deadband)).clamp(-slack, slack)
+        boxes[:, :, 2] = torch.where(scaled[:, None], about, boxes[:, :, 2])
     grid = functional.affine_grid(boxes, [count, 1, rows, columns], align_corners=False)
     flat = functional.grid_sample(
         stack.reshape(count, length * colours, rows, columns), grid, mode="bilinear", padding_mode="border", align_corners=False

@@ -85,7 +85,7 @@ def main() -> None:
             words = ", ".join(name for name, known in (("gel", told is gel), ("scale", scale is not AS_IT_IS)) if known) or "nothing"
             for name, ensemble in networks.items():
                 said = [ensemble.read([replace(press, gel=told)]) for press in seen if press is not None]
-                if options.sheet and not options.sheet.exists():
+                if options.sheet and not kept:
                     shown = [touching[int(place)] for place in np.linspace(0, len(touching) - 1, 40)]
                     of = {number: part for number, part in zip(touching, said, strict=True)}
                     lines = [f"{rows[n]['object']} (class {ranks[n]} of 0 to 2): Shore 00 {of[n].mean[0]:.0f} +- {of[n].spread[0]:.0f}"
