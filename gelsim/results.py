@@ -44,7 +44,7 @@ class Deformation:
     object: SurfaceMotion
     """The object's surface."""
     min_jacobian: NDArray[np.float64]
-    """Smallest det F over all quadrature points, shape (N,)."""
+    """Smallest det F over all quadrature points, shape (N,); NaN without finite elements."""
     penetration: NDArray[np.float64]
     """Largest overlap of the two surfaces [m], shape (N,)."""
     newton_iterations: NDArray[np.int32]

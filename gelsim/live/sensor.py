@@ -28,7 +28,7 @@ from gelsim.results import Membrane
 from gelsim.scene import materials
 from gelsim.scene.definition import Scene
 from gelsim.shape.shapes import gel_height
-from gelsim.units import MM, MM_PER_M
+from gelsim.units import KPA_PER_PA, MM, MM_PER_M
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -140,7 +140,7 @@ class LiveSensor:
         Raises:
             SceneError: The object is not rigid, or the gel is viscous.
         """
-        _check(scene)
+        check_scene(scene, "a live sensor", "gelsim.press")
         quiet_warp()
         from gelsim.live.underside import Underside
 
@@ -193,11 +193,20 @@ class LiveSensor:
 
     def ahead(self, pose: ArrayLike) -> Patch:
         """How the gel would answer at a pose: as `step` and `patch` would, but it stays where it is, and remembers nothing of it."""
-        kept = self._state, self._pose, self._clear
+        kept = self.state
         self._go(*_pose(pose))
         patch = self.patch()
-        self._state, self._pose, self._clear = kept
+        self.state = kept
         return patch
+
+    @property
+    def state(self) -> tuple[State, tuple[Array, Array] | None, float]:
+        """Where object and gel are and what friction remembers, to return to: whole, and never changed."""
+        return self._state, self._pose, self._clear
+
+    @state.setter
+    def state(self, kept: tuple[State, tuple[Array, Array] | None, float]) -> None:
+        self._state, self._pose, self._clear = kept
 
     @property
     def clearance(self) -> float:
@@ -358,11 +367,22 @@ class LiveSensor:
         """Displacements [m], (M, 3), of the material points of the surface that rest over places (M, 2) [m]."""
         return self._displaced(self._state, places)
 
-    def _displaced(self, state: State, places: Array) -> Array:
+    def pressure_at(self, places: Array) -> Array:
+        """Contact pressure [Pa], (M,), on the material points of the surface that rest over places (M, 2) [m]."""
+        state = self._state
+        whole = state.over(state.pressure, self._layer.shape)
+        return self._read(whole, self._now_at(state, places)).astype(float) / KPA_PER_PA
+
+    def _now_at(self, state: State, places: Array) -> Array:
+        """Where on the grid [mm], (M, 2), the points that rest over places (M, 2) [m] have come to."""
         rest = places * MM_PER_M
         at = rest
         for _ in range(gel_layer.LOOKS):  # x = X + u_t(x)
             at = rest + self._read(state.field[:2], at).T
+        return at
+
+    def _displaced(self, state: State, places: Array) -> Array:
+        at = self._now_at(state, places)
         height = self._read(state.field[2], at) * MM + gel_height(self._scene.gel, at * MM)
         return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
 
@@ -372,11 +392,12 @@ class LiveSensor:
         return gel_layer.between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
 
 
-def _check(scene: Scene) -> None:
+def check_scene(scene: Scene, who: str, instead: str) -> None:
+    """Raises SceneError where `who` asks for what the baked gel has not; `instead` has."""
     if not scene.object.rigid:
-        raise SceneError("object.rigid = false: a live sensor takes rigid objects only; set object.rigid = true, or use gelsim.press")
+        raise SceneError(f"object.rigid = false: {who} takes rigid objects only; set object.rigid = true, or use {instead}")
     if scene.gel.prony_g:
-        raise SceneError(f"gel.prony_g = {list(scene.gel.prony_g)}: a live sensor's gel is elastic; leave it out, or use gelsim.press")
+        raise SceneError(f"gel.prony_g = {list(scene.gel.prony_g)}: {who} has an elastic gel; leave it out, or use {instead}")
 
 
 def _pose(pose: ArrayLike) -> tuple[Array, Array]:

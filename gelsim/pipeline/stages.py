@@ -50,6 +50,9 @@ MOST_OVERLAP_UM = 50.0
 """Overlap of the bodies that is warned of, and that the stability suite allows: at `fast` a tenth of the finest edge is 25 µm, and a sharp
 rigid rim cuts in."""
 
+LIVE = "live"
+"""The fidelity that solves no finite elements (`gelsim.live.press`)."""
+
 UNSURE = 0.1
 """Estimated relative error of the force above which a report warns."""
 
@@ -117,6 +120,12 @@ def press(
     record = record or Record()
     if scene.target_error is not None or scene.target_membrane_um is not None:
         return _press_to_target(scene, device, progress, record, throw, enough)
+    report = (lambda done, total: progress("press", done, total)) if progress else None
+    if scene.fidelity == LIVE:
+        with record.stage("import"):
+            from gelsim.live.press import live_press
+        with record.stage("press"):
+            return live_press(scene, progress=report)
     with record.stage("import"):
         import gelsim.fem  # noqa: F401  # counted here, not as the press
         from gelsim.mesh.reductions import choose_reduction
@@ -131,7 +140,6 @@ def press(
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     for name, material in list(object_materials.items())[1:]:
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
-    report = (lambda done, total: progress("press", done, total)) if progress else None
     if reduction.planar:
         return _press_profile(scene, reduction, record, report, throw)
     return _press_solid(scene, symmetry, device, record, report, throw, enough)
@@ -209,6 +217,7 @@ def _press_to_target(
     enough: Callable[[Deformation], bool] | None,
 ) -> Deformation:
     """`press` at the cheapest fidelity whose error estimate meets the scene's target; record.choices says which and why."""
+    from gelsim.live.press import live_error
     from gelsim.mesh.reductions import choose_reduction
     from gelsim.pipeline import fidelity
 
@@ -217,7 +226,13 @@ def _press_to_target(
 
     assert not isinstance(scene.target_error, str)
     target = fidelity.Target(scene.target_error, scene.target_membrane_um)
-    chosen = fidelity.press_to_target(target, solve, "profile" if choose_reduction(scene).planar else "solid")
+    kind = "profile" if choose_reduction(_at(scene, "balanced")).planar else "solid"
+    known = live_error(scene) if kind == "solid" else None  # a profile is solved as soon
+    if known is not None and target.allows(*known):
+        why = f"target {target}: {100 * known[0]:.2g} % of force, {known[1]:.2g} µm of membrane, as measured on such presses"
+        record.choices["fidelity"] = {"chosen": LIVE, "why": why, "tried": []}
+        return solve(LIVE)
+    chosen = fidelity.press_to_target(target, solve, kind)
     record.choices["fidelity"] = {"chosen": chosen.fidelity, "why": chosen.why, "tried": chosen.tried}
     if not chosen.met:
         record.warnings.append(f"the target was not met at fidelity {chosen.fidelity}: {chosen.why}")
@@ -266,6 +281,8 @@ def bodies(scene: Scene) -> tuple[TetMesh, TetMesh | QuadraticSurface, tuple[Any
 
     if scene.target_error is not None or scene.target_membrane_um is not None:
         raise SceneError("target_error, target_membrane_um: they choose the fidelity of a single press; here give fidelity instead")
+    if scene.fidelity == LIVE:
+        raise SceneError(f'fidelity = "{LIVE}" has no finite elements; here give fast, balanced or reference')
     return _bodies(scene, shapes.press_symmetry(scene), Record())
 
 
@@ -312,7 +329,7 @@ def press_batch(scenes: Sequence[Scene], *, device: str = "auto", size: int = 64
     presses: dict[int, Deformation] = {}
     for number, scene in enumerate(scenes):
         remembers = scene.gel.prony_g or (scene.object.prony_g and not scene.object.rigid)
-        if choose_reduction(scene).planar or remembers:
+        if scene.fidelity == LIVE or choose_reduction(scene).planar or remembers:
             presses[number] = press(scene, throw=False)
             continue
         shape = _geometry(scene)

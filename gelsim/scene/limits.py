@@ -12,7 +12,7 @@ from gelsim.scene.shape_table import SHAPES
 from gelsim.units import MESH_UNITS, unit_of
 
 CHOICES: dict[str, Collection[str]] = {
-    "fidelity": ("fast", "balanced", "reference"),
+    "fidelity": ("live", "fast", "balanced", "reference"),
     "gel.profile": ("dome", "flat", "sphere", "cylinder"),
     "object.shape": SHAPES.keys(),
     "object.mesh_unit": tuple(MESH_UNITS),
