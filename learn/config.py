@@ -56,6 +56,8 @@ class ModelConfig:
     """ours: it is told thickness, dome and hardness of the gel where they are known (for an ablation)"""
     show_scale: bool = True
     """ours: it is told whether it sees 18.4 mm around the contact, or a picture of unknown scale (for an ablation)"""
+    classes: int = 0
+    """ours: classes of hardness whose cuts it learns, 2 or more; 0: as many as the presses to train on tell of"""
     every_step: bool = False
     """ours: each picture of a press is trained as if it were the last, and not the last alone (for an ablation)"""
     spread: bool = True
@@ -164,7 +166,7 @@ class Config:
 
 # Fields that came later, and what a config that lacks them meant.
 _ADDED: dict[str, dict[str, Any]] = {
-    "model": {"show_gel": False, "show_scale": False},
+    "model": {"show_gel": False, "show_scale": False, "classes": 0},
     "augment": {
         "hide_gel": 0.0,
         "hide_scale": 0.0,
@@ -254,7 +256,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "hidden": (4, 4096), "end_share": (0.05, 1), "thin": (1, 20), "drop": (0, 0.9), "noise_levels": (0, 64), "gain": (0, 0.9),
     "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "hide_gel": (0, 1), "hide_scale": (0, 1),
     "turn_deg": (0, 180), "mix": (0, 1), "shade": (0, 3), "border": (0, 1), "texture": (0, 1), "codec_levels": (0, 255), "late": (0, 1),
-    "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
+    "classes": (0, 20), "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
     "warmup": (0, 10**7), "weight_decay": (0, 10), "step_size": (1, 10**8), "step_factor": (0, 1), "momentum": (0, 0.9999),
     "clip": (0, 1e6), "seed": (0, 2**31), "workers": (0, 256), "validate_every": (1, 10**8), "real_ratio": (0, 1),
     "presses": (0, 10**8), "average": (0, 0.99999), "real_presses": (0, 10**8),
@@ -270,6 +272,8 @@ def _check(config: Config) -> None:
             check_limits(part, choices=_CHOICES, limits=_RANGES)
     except SceneError as error:
         raise LearnError(str(error)) from None
+    if config.model.classes == 1:
+        raise LearnError("classes = 1: allowed are 0 and 2 or more")
     if not 1 <= len(config.model.widths) <= 8:
         raise LearnError(f"widths = {config.model.widths}: allowed are 1 … 8 of them")
     if config.model.model == "paper" and (config.input.picture != (224, 224) or config.input.frames < 3):

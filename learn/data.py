@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +23,9 @@ HARDEST = 87.0
 VALIDATION_SHARE = 0.15
 """Of the objects, where a dataset brings no validation split."""
 
+Bounds = tuple[float, float]
+"""Least and greatest Shore 00."""
+UNBOUND: Bounds = (-np.inf, np.inf)
 Gel = tuple[float, float, float]
 """Thickness at the centre [mm], at the edge [mm], and hardness [Shore 00] of a sensor's gel; a NaN among them: it is not known."""
 UNKNOWN_GEL: Gel = (np.nan, np.nan, np.nan)
@@ -39,8 +43,10 @@ class Press:
     """Intensity change [levels], shape (T,)."""
     target: float = np.nan
     """Shore 00; NaN: unknown."""
-    rigid: bool = False
-    """The target is not known, but it is over HARDEST."""
+    bounds: Bounds = UNBOUND
+    """Where the target is not known, what it is known to be between."""
+    rank: int = -1
+    """Class of hardness, 0 the softest, where that is all that is known; -1: it is not."""
     gel: Gel = UNKNOWN_GEL
     scaled: bool = False
     """The pictures show `framing.FIELD_MM` around the contact; else their scale is not known."""
@@ -60,8 +66,10 @@ class Batch:
     """Pictures that are none of the padding, shape (B,), int64."""
     target: torch.Tensor
     """Shore 00; NaN: unknown. Shape (B,)."""
-    rigid: torch.Tensor
-    """bool, shape (B,)."""
+    bounds: torch.Tensor
+    """Shore 00, shape (B, 2)."""
+    rank: torch.Tensor
+    """int64, shape (B,)."""
     gel: torch.Tensor
     """A `Gel` each, shape (B, 3)."""
     scaled: torch.Tensor
@@ -77,6 +85,21 @@ def gel_of(facts: Mapping[str, float | None] | None) -> Gel:
         return UNKNOWN_GEL
     thickness, edge, shore = (facts[name] for name in ("thickness_mm", "edge_thickness_mm", "shore_00"))
     return UNKNOWN_GEL if thickness is None or edge is None or shore is None else (thickness, edge, shore)
+
+
+def label_of(row: Mapping[str, Any]) -> tuple[float | None, Bounds, int]:
+    """What a dataset's row knows of a hardness: Shore 00, else bounds of it, else a class (`gelsim.data.episodes`)."""
+    if row["shore_00"] is not None:
+        return float(row["shore_00"]), UNBOUND, -1
+    if row["rigid"]:
+        return None, (HARDEST, np.inf), -1
+    low, high = row.get("shore_00_range") or (None, None)
+    if (low, high) != (None, None):
+        return None, (-np.inf if low is None else low, np.inf if high is None else high), -1
+    return None, UNBOUND, row.get("hardness_class", -1)
+
+
+UNKNOWN_LABEL = (None, UNBOUND, -1)
 
 
 def choose(recording: Recording, inputs: InputConfig, repeat: bool, end_share: float = 1.0) -> Press | None:
@@ -103,7 +126,8 @@ def collate(presses: Sequence[Press], at_least: int = 0) -> Batch:
         torch.from_numpy(signal),
         torch.tensor([len(press.pictures) for press in presses]),
         torch.tensor([press.target for press in presses], dtype=torch.float32),
-        torch.tensor([press.rigid for press in presses]),
+        torch.tensor([press.bounds for press in presses], dtype=torch.float32),
+        torch.tensor([press.rank for press in presses]),
         torch.tensor([press.gel for press in presses], dtype=torch.float32),
         torch.tensor([press.scaled for press in presses]),
     )
@@ -121,7 +145,7 @@ def sides(dataset: Dataset, seed: int) -> tuple[list[int], list[int]]:
     if not validation:
         rows = [dataset.rows[dataset.positions[index]] for index in train]
         train, validation = split_by_object(rows, VALIDATION_SHARE, seed) if rows else ([], [])
-    usable = {row["index"] for row in dataset.rows if row["rigid"] or row["shore_00"] is not None}
+    usable = {row["index"] for row in dataset.rows if label_of(row) != UNKNOWN_LABEL}
     train, validation = [index for index in train if index in usable], [index for index in validation if index in usable]
     if not train:
         raise DatasetError(f"{dataset.folder}: no press of known hardness to train on")
@@ -135,7 +159,7 @@ def held_presses(part: Archive, inputs: InputConfig, repeat: bool, seed: int) ->
     for number, row in enumerate(part.rows):
         recording = with_noise(part.recording(number), [seed, 3, row["index"]], inputs)
         press = choose(to_scale(recording, row.get("field_mm"), inputs), inputs, repeat)
-        target = np.nan if row["shore_00"] is None else float(row["shore_00"])
-        told = {"target": target, "rigid": bool(row["rigid"]), "gel": gel_of(row.get("gel"))}
-        found.append(None if press is None else replace(press, **told))
+        target, bounds, rank = label_of(row)
+        known = {"target": np.nan if target is None else target, "bounds": bounds, "rank": rank, "gel": gel_of(row.get("gel"))}
+        found.append(None if press is None else replace(press, **known))
     return found

@@ -4,7 +4,8 @@ PressNet (ours): each picture less the no-contact frame, and that frame itself -
 every picture a mean m and a spread s. The estimate is that of the last picture, and the loss is taken there
 (`every_step`: at every picture).
     L = -log N(y; m, s) s^(2β), the last factor held constant (Seitzer et al., ICLR 2022: "β-NLL", β = ½): the likelihood, but a press that
-    is thought uncertain still teaches its mean. Of rigid objects it is only known that y > HARDEST: L = -log P(y > HARDEST).
+    is thought uncertain still teaches its mean. Where it is only known that a < y < b (of rigid ones
+    y > HARDEST), L = -log P(a < y < b). Where only a class is known, a and b are cuts between classes, learnt too (McCullagh 1980).
 PaperNet (Yuan et al., ICRA 2017): each picture less the first -> VGG16 up to fc7 (Simonyan and Zisserman 2015) -> LSTM -> affine, at every
 picture; the estimate is the mean over the last three. Huber loss on each of these. It knows no spread.
 
@@ -21,7 +22,7 @@ from torch import nn
 from torch.nn import functional
 
 from learn.config import Config, LearnError, ModelConfig
-from learn.data import HARDEST, Batch
+from learn.data import Batch
 from learn.features import AREA_LEVELS
 
 CHANGE_LEVELS = 32.0
@@ -31,8 +32,12 @@ FAINT_LEVELS = 0.05
 SPREADS = (0.5, 60.0)
 """Spreads that the network can say [Shore 00]: a durometer's own resolution, and twice that of knowing nothing (8 … 87 evenly: 23)."""
 BETA = 0.5
+BEYOND, LEAST = 1e4, 1e-6
+"""Standard deviations that stand for infinitely many; and the least width of an interval in logarithms of its tails."""
 HUBER_DELTA = 1.0
 """Where the Huber loss turns from square to straight [Shore 00]; the paper does not give it."""
+SOFTPLUS_1 = 0.541325
+"""What softplus takes to 1."""
 SHAPES = 3
 """Numbers of `shape_of`."""
 GEL, GEL_UNITS = (2.4, 1.0, 17.0), (0.2, 0.5, 5.0)
@@ -93,6 +98,23 @@ class PressNet(nn.Module):
         # Mean and standard deviation of the hardness trained on; train.py sets them once.
         self.register_buffer("centre", torch.tensor(50.0))
         self.register_buffer("scale", torch.tensor(25.0))
+        # The first cut, and how much further each next one is (through softplus), in units of `scale` from `centre`.
+        self.cuts = nn.Parameter(torch.zeros(config.classes - 1)) if config.classes else None
+
+    def class_bounds(self) -> torch.Tensor:
+        """Between which Shore 00 each class lies, shape (classes, 2)."""
+        assert self.cuts is not None
+        first = self.cuts[:1] - (self.config.classes - 2) / 2
+        inner = torch.cat([first, functional.softplus(self.cuts[1:] + SOFTPLUS_1)]).cumsum(0)
+        ends = torch.full((1,), torch.inf, device=inner.device)
+        cuts = torch.cat([-ends, self.centre + self.scale * inner, ends])
+        return torch.stack([cuts[:-1], cuts[1:]], dim=1)
+
+    def _bounds(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
+        bounds = batch.bounds
+        if self.cuts is not None:
+            bounds = torch.where(batch.rank[:, None] >= 0, self.class_bounds()[batch.rank.clamp_min(0)], bounds)
+        return bounds[:, 0], bounds[:, 1]
 
     def forward(self, batch: Batch) -> Output:
         count, steps = batch.signal.shape
@@ -128,12 +150,14 @@ class PressNet(nn.Module):
         target = batch.target[:, None].expand_as(output.mean)
         known = ~torch.isnan(target)
         aim = torch.where(known, target, output.mean.detach())
-        over = (output.mean - HARDEST) / (output.spread if output.spread is not None else self.scale)
+        low, high = (bound[:, None].expand_as(output.mean) for bound in self._bounds(batch))
+        spread = output.spread if output.spread is not None else self.scale.expand_as(output.mean)
+        between = -log_between(low, high, output.mean, spread)
         if output.spread is None:
             each = functional.huber_loss(output.mean, aim, reduction="none", delta=HUBER_DELTA)
         else:
             each = 0.5 * ((aim - output.mean) / output.spread) ** 2 + torch.log(output.spread)
-        each = torch.where(known, each, torch.where(batch.rigid[:, None], -torch.special.log_ndtr(over), torch.zeros_like(each)))
+        each = torch.where(known, each, between)
         if output.spread is not None:
             each = each * output.spread.detach() ** (2 * BETA) / self.scale ** (2 * BETA)
         steps = torch.arange(each.shape[1], device=each.device)
@@ -216,6 +240,20 @@ class PaperNet(nn.Module):
 
 
 Network = PressNet | PaperNet
+
+
+def log_between(low: torch.Tensor, high: torch.Tensor, mean: torch.Tensor, spread: torch.Tensor) -> torch.Tensor:
+    """log P(low < y < high) of normal y; 0 where neither bounds."""
+
+    def ends(bound: torch.Tensor, beyond: float) -> torch.Tensor:
+        finite = torch.isfinite(bound)
+        return torch.where(finite, (torch.where(finite, bound, mean.detach()) - mean) / spread, torch.full_like(mean, beyond))
+
+    below, above = ends(low, -BEYOND), ends(high, BEYOND)
+    right = below > 0  # there the tails are taken from the other side, where they are small numbers
+    one, other = torch.where(right, -above, below), torch.where(right, -below, above)
+    larger = torch.special.log_ndtr(other)
+    return larger + torch.log(-torch.expm1((torch.special.log_ndtr(one) - larger).clamp_max(-LEAST)))
 
 
 def shape_of(change: torch.Tensor) -> torch.Tensor:

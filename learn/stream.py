@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gelsim.errors import DatasetError
 from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import Config, LearnError
-from learn.data import Batch, Gel, Press, collate, gel_of
+from learn.data import Batch, Gel, Press, collate, gel_of, label_of
 from learn.frames import FIXED_POINT, equal_steps, loading
 from learn.framing import shown_mm
 from learn.recordings import Archive
@@ -50,7 +50,7 @@ class Stream:
         config, inputs = self._config, self._config.input
         looks = np.zeros(len(positions), LOOK)
         chosen = np.zeros((len(positions), 1 + inputs.frames), np.int64)
-        members, lengths, targets, rigid, gels = [], [], [], [], []
+        members, lengths, labels, gels = [], [], [], []
         for slot, position in enumerate(positions):
             pool, number = self.member(position)
             part, rng = self._archives[pool], np.random.default_rng([config.train.seed, 2, position])
@@ -67,14 +67,19 @@ class Stream:
             chosen[slot] = np.pad(1 + frames, (1, inputs.frames - len(frames)), mode="edge")
             chosen[slot, 0] = empty
             lengths.append(len(frames))
-            targets.append(np.nan if row["shore_00"] is None else float(row["shore_00"]))
-            rigid.append(bool(row["rigid"]))
+            labels.append(label_of(row))
             gels.append(gel_of(row.get("gel")))
         with torch.no_grad():
             noises = [(noise.flat, noise.shot) for noise in (self._archives[pool].noises[number] for pool, number in members)]
             stack = randomise(self._pictures.take(members, chosen), looks, noises, config.augment, inputs.deadband_levels)
             told = _hidden(torch.tensor(gels), looks), torch.from_numpy(looks["scaled"].copy())
-            return _batch(stack, torch.tensor(lengths), torch.tensor(targets), torch.tensor(rigid), *told, inputs.deadband_levels)
+            targets, bounds, ranks = zip(*labels, strict=True)
+            known = (
+                torch.tensor([np.nan if target is None else target for target in targets], dtype=torch.float32),
+                torch.tensor(bounds, dtype=torch.float32),
+                torch.tensor(ranks),
+            )
+            return _batch(stack, torch.tensor(lengths), *known, *told, inputs.deadband_levels)
 
     def gels(self) -> list[Gel]:
         """The gel of each press, hidden from the network or not."""
@@ -143,7 +148,7 @@ def varied(presses: Sequence[Press], seeds: Sequence[int], config: Config, devic
         stack = torch.cat([part.background[:, None], part.pictures], dim=1)
         stack = randomise(stack, looks, [(0.0, 0.0)] * len(looks), config.augment)
         told = _hidden(part.gel, looks), part.scaled
-        batches.append(_batch(stack, part.lengths, part.target, part.rigid, *told, config.input.deadband_levels))
+        batches.append(_batch(stack, part.lengths, part.target, part.bounds, part.rank, *told, config.input.deadband_levels))
     return batches
 
 
@@ -168,7 +173,8 @@ def _batch(
     stack: torch.Tensor,
     lengths: torch.Tensor,
     target: torch.Tensor,
-    rigid: torch.Tensor,
+    bounds: torch.Tensor,
+    rank: torch.Tensor,
     gel: torch.Tensor,
     scaled: torch.Tensor,
     deadband: float,
@@ -180,4 +186,4 @@ def _batch(
     signal = ((pictures - background[:, None]).abs() - deadband).clamp_min(0).mean(dim=(2, 3, 4))
     pictures = torch.where(there[:, :, None, None, None], pictures, torch.zeros_like(pictures))
     signal = torch.where(there, signal, torch.zeros_like(signal))
-    return Batch(pictures, background, signal, lengths, target, rigid, gel, scaled).to(device)
+    return Batch(pictures, background, signal, lengths, target, bounds, rank, gel, scaled).to(device)

@@ -33,7 +33,7 @@ from gelsim.files import whole_file
 from learn import checkpoint as checkpoints
 from learn.checkpoint import Checkpoint
 from learn.config import Config, LearnError, TrainConfig, from_plain, to_plain
-from learn.data import Batch, Press, held_presses, sides
+from learn.data import Batch, Press, held_presses, label_of, sides
 from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.logs import Curves
 from learn.model import Network, PaperNet, build, compile_convolutions, load_vgg, parameter_count
@@ -105,6 +105,7 @@ def train(  # noqa: PLR0913 - a keyword for each flag of its command
         # What can be refused before presses are read is refused before anything is written: nothing stands in a corrected command's way.
         share(0, config.train.batch, place.rank, place.world)
         divided = _divide(datasets, config)
+        config = _with_classes(config, datasets, divided)
         if resume and (out / "last.pt").is_file():
             begun = checkpoints.load(out / "last.pt")
         else:
@@ -255,9 +256,13 @@ def _network(config: Config, init: Path | None, vgg: Path | None, datasets: list
     """What a run begins with."""
     if init is not None:
         begun = checkpoints.load(init)
-        if (begun.config.model, begun.config.input) != (config.model, config.input):
+        if (replace(begun.config.model, classes=config.model.classes), begun.config.input) != (config.model, config.input):
             raise LearnError(f"--init {init}: its network and input are others than this run's")
-        return begun.build()
+        if begun.config.model.classes == config.model.classes:
+            return begun.build()
+        network = build(config)
+        network.load_state_dict({name: value for name, value in begun.network.items() if name != "cuts"}, strict=False)
+        return network
     torch.manual_seed(config.train.seed)
     network = build(config)
     rows = [dataset.rows[dataset.positions[index]] for dataset, (train, _) in zip(datasets, divided, strict=True) for index in train]
@@ -271,6 +276,20 @@ def _network(config: Config, init: Path | None, vgg: Path | None, datasets: list
             raise LearnError("--vgg-weights: only --model paper has a VGG16")
         load_vgg(network, vgg)
     return network
+
+
+def _with_classes(config: Config, datasets: list[Dataset], divided: list[Sides]) -> Config:
+    """With as many classes of hardness as the presses to train on tell of."""
+    ranks = [
+        label_of(dataset.rows[dataset.positions[index]])[2]
+        for dataset, (train, _) in zip(datasets, divided, strict=True)
+        for index in train
+    ]
+    told = 1 + max(ranks, default=-1)
+    asked = config.model.classes
+    if asked and told > asked:
+        raise LearnError(f"classes = {asked}: the presses to train on have hardness_class up to {told - 1}; allowed is {told} or more")
+    return replace(config, model=replace(config.model, classes=asked or (max(told, 2) if told else 0)))
 
 
 def _divide(datasets: list[Dataset], config: Config) -> list[Sides]:

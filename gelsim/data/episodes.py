@@ -41,6 +41,8 @@ LARGEST_FILE = 2**28
 """Bytes of one file in an episode, or of one in meta/ but for episodes.jsonl."""
 MOST_FRAMES, MOST_PIXELS, MOST_MARKERS = 2000, 2**24, 20000
 MOST_ROWS = 5_000_000
+MOST_CLASSES = 20
+SHORE_00 = (0, 100)
 DOMAINS = ("sim", "real")
 MOTIONS = ("human", "robot")
 _ROW: dict[str, tuple[type, ...]] = {
@@ -164,8 +166,23 @@ def check_row(row: object, where: str) -> None:
         raise DatasetError(f"{where}: file = {row['file']!r}: the episode {row['index']} lies in {episode_file(max(row['index'], 0))!r}")
     if "gel" in row:
         _check_gel(row["gel"], where)
+    if "shore_00_range" in row:
+        _check_range(row["shore_00_range"], where)
+    rank = row.get("hardness_class", 0)
+    if not isinstance(rank, int) or isinstance(rank, bool) or not 0 <= rank < MOST_CLASSES:
+        raise DatasetError(f"{where}: hardness_class = {rank!r}: expected a whole number, 0 (the softest) … {MOST_CLASSES - 1}")
     if "field_mm" in row:
         _check_field(row["field_mm"], where)
+
+
+def _check_range(bounds: object, where: str) -> None:
+    low, high = SHORE_00
+    ends = bounds if isinstance(bounds, list) and len(bounds) == 2 else [bounds]
+    told = [end for end in ends if end is not None]
+    # A NaN is within no bounds.
+    right = all(isinstance(end, (int, float)) and not isinstance(end, bool) and low <= end <= high for end in told)
+    if len(ends) != 2 or not told or not right or (len(told) == 2 and told[0] >= told[1]):
+        raise DatasetError(f"{where}: shore_00_range = {bounds!r}: expected least and greatest, {low} … {high}, null where there is none")
 
 
 def _check_field(field: object, where: str) -> None:

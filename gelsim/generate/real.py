@@ -1,9 +1,8 @@
 """`gelsim dataset --real DIR`: recordings of a real sensor, in the schema of the simulated ones.
 
 A press is a video, or a folder of pictures in the order of their names. Labels come from `labels.csv` beside them (columns: file, and any
-of object, group, shape, radius_mm, shore_00, rigid, motion, no_contact, first, last, split), and where there is none from the file's name,
-SHAPE[RADIUS]_HH_NUMBER, HH the Shore 00 reading, as the recordings of the 2017 paper are named; a folder whose name has "robot" in it was
-made by the robot. Frames are numbered from 0.
+of COLUMNS), and where there is none from the file's name, SHAPE[RADIUS]_HH_NUMBER, HH the Shore 00 reading, as the recordings of the 2017
+paper are named; a folder whose name has "robot" in it was made by the robot. Frames are numbered from 0.
 
 *The press in it.* c(t) = mean |frame - no-contact frame| over blocks of BLOCK × BLOCK pixels (noise averages out) and channels. The
 no-contact frame, unless given, is the first one after which little changes for QUIET frames; the press begins where c exceeds BEGUN of its
@@ -24,11 +23,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.data.episodes import episode_file, gel_facts, survey, write_episode, write_meta
+from gelsim.data.episodes import MOST_CLASSES, episode_file, gel_facts, survey, write_episode, write_meta
 from gelsim.data.video import MOST_FRAMES, MOST_PIXELS, VIDEOS, video_frames
-from gelsim.errors import SceneError
+from gelsim.errors import MaterialError, SceneError
 from gelsim.generate.plan import SPLITS
 from gelsim.results import Episode
+from gelsim.scene import materials
 from gelsim.scene.layers import build_scene
 from gelsim.scene.shape_table import SHAPES
 from gelsim.tables import read_csv
@@ -40,7 +40,9 @@ LEAD, QUIET = 2, 3
 BLOCK = 8
 BEGUN, CALM, LEAST = 0.05, 0.5, 1.0
 """Share of the largest change from which on a press has begun; mean changes [levels of 255] of what stands still, and of a press."""
-COLUMNS = ("file", "object", "group", "shape", "radius_mm", "shore_00", "rigid", "motion", "no_contact", "first", "last", "split")
+HARDNESS = ("shore_00", "shore_a", "modulus_kpa", "shore_00_low", "shore_00_high", "hardness_class")
+"""How hard an object is, by one of these; a class is a whole number, 0 the softest, and bounds may be one or two."""
+COLUMNS = ("file", "object", "group", "shape", "radius_mm", *HARDNESS, "rigid", "motion", "force_n", "no_contact", "first", "last", "split")
 
 Progress = Callable[[str, int, int], None]
 
@@ -155,13 +157,13 @@ def _labels(source: Path) -> dict[str, dict[str, Any]] | None:
 
 def _cells(row: dict[str, Any], labels: dict[str, Any]) -> dict[str, Any]:
     """Cells that say something, over what the file's name said."""
-    for key, kind in (("radius_mm", float), ("shore_00", float), ("group", int), ("no_contact", int), ("first", int), ("last", int)):
+    numbers = {"radius_mm": float, "force_n": float, "group": int, "no_contact": int, "first": int, "last": int}
+    for key, kind in numbers.items():
         if row.get(key):
             labels[key] = kind(row[key])
+    labels |= _hardness({key: float(row[key]) for key in HARDNESS if row.get(key)})
     if not 1 <= labels["group"] <= 5:
         raise ValueError(f"group = {labels['group']}: allowed is 1 … 5")
-    if labels["shore_00"] is not None and not 0 <= labels["shore_00"] <= 100:
-        raise ValueError(f"shore_00 = {labels['shore_00']:g}: allowed is 0 … 100")
     for key in ("object", "shape"):
         labels[key] = row.get(key) or labels[key]
     for key, allowed in (("rigid", ("true", "false")), ("motion", ("human", "robot")), ("split", SPLITS)):
@@ -172,6 +174,41 @@ def _cells(row: dict[str, Any], labels: dict[str, Any]) -> dict[str, Any]:
     if labels["rigid"]:
         labels["shore_00"] = None
     return labels
+
+
+def _hardness(told: dict[str, float]) -> dict[str, Any]:
+    """What a row keeps of one kind of `HARDNESS`: Shore 00, bounds of it, or a class; of another scale that reading too."""
+    bounds = {name.removeprefix("shore_00_"): value for name, value in told.items() if name.startswith("shore_00_")}
+    if len(told) - len(bounds) + bool(bounds) > 1:
+        raise ValueError(f"{', '.join(sorted(told))}: give one of them (shore_00_low and shore_00_high are one)")
+    for name, value in told.items():
+        if name.startswith("shore_00") and not 0 <= value <= 100:
+            raise ValueError(f"{name} = {value:g}: allowed is 0 … 100")
+    if bounds:
+        low, high = bounds.get("low"), bounds.get("high")
+        if low is not None and high is not None and low >= high:
+            raise ValueError(f"shore_00_low = {low:g}: must be below shore_00_high = {high:g}")
+        return {"shore_00": None, "shore_00_range": [low, high]}
+    if "hardness_class" in told:
+        rank = told["hardness_class"]
+        if rank not in range(MOST_CLASSES):
+            raise ValueError(f"hardness_class = {rank:g}: allowed are whole numbers, 0 (the softest) … {MOST_CLASSES - 1}")
+        return {"shore_00": None, "hardness_class": int(rank)}
+    if "shore_a" in told:
+        return {"shore_a": told["shore_a"]} | _by_modulus(materials.modulus_from_shore_a(told["shore_a"]))
+    if "modulus_kpa" in told:
+        return {"modulus_kpa": told["modulus_kpa"]} | _by_modulus(told["modulus_kpa"] * 1e3)
+    return told
+
+
+def _by_modulus(modulus: float) -> dict[str, Any]:
+    """Shore 00 of a silicone of a Young's modulus [Pa]; above the scale that it is above, below likewise."""
+    low, high = materials.SHORE_00_RANGE
+    try:
+        return {"shore_00": materials.shore_00_from_modulus(modulus)}
+    except MaterialError:
+        over = modulus > materials.modulus_from_shore_00(high)
+        return {"shore_00": None, "shore_00_range": [high, None] if over else [None, low]}
 
 
 def _splits(labels: list[dict[str, Any]]) -> list[str]:
@@ -200,7 +237,8 @@ def read_recording(path: Path, labels: dict[str, Any], index: int, resolution: t
     count = len(shown)
     row = {
         "index": index, **{key: labels[key] for key in ("object", "group", "shape", "radius_mm", "shore_00", "rigid", "motion")},
-        "domain": "real", "frames": count, "peak_force_n": None, "mechanics": f"real-{index:06d}", **eye,
+        **{key: labels[key] for key in ("shore_a", "modulus_kpa", "shore_00_range", "hardness_class") if key in labels},
+        "domain": "real", "frames": count, "peak_force_n": labels.get("force_n"), "mechanics": f"real-{index:06d}", **eye,
         "file": episode_file(index), "split": split, "source": path.name,
     }  # fmt: skip
     unknown = np.full(count, np.nan)

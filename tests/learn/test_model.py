@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import torch
 from conftest import TINY
+from scipy.stats import norm
 
 from gelsim.data.episodes import load_dataset
 from learn.config import LearnError, configure
-from learn.data import HARDEST, Batch, sides
+from learn.data import HARDEST, UNBOUND, Batch, Bounds, sides
 from learn.features import press_features
-from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, gel_input, load_vgg, parameter_count, shape_of
+from learn.model import BETA, HUBER_DELTA, Output, PaperNet, PressNet, build, gel_input, load_vgg, log_between, parameter_count, shape_of
 from learn.recordings import archive
 from learn.stream import Stream
 
@@ -29,12 +30,14 @@ def batch(fake_data: Path) -> Batch:
 
 
 def with_output(
-    lengths: list[int], mean: torch.Tensor, spread: torch.Tensor | None, target: list[float], rigid: bool = False
+    lengths: list[int], mean: torch.Tensor, spread: torch.Tensor | None, target: list[float],
+    bounds: Bounds = UNBOUND, rank: int = -1,
 ) -> tuple[Output, Batch]:
     count, steps = mean.shape
     nothing = torch.zeros((count, steps, 3, 1, 1))
     batch = Batch(
-        nothing, nothing[:, 0], torch.zeros(count, steps), torch.tensor(lengths), torch.tensor(target), torch.full((count,), rigid),
+        nothing, nothing[:, 0], torch.zeros(count, steps), torch.tensor(lengths), torch.tensor(target), torch.tensor([bounds] * count),
+        torch.full((count,), rank),
         torch.full((count, 3), torch.nan), torch.zeros(count, dtype=torch.bool),
     )  # fmt: skip
     return Output(mean, spread, torch.zeros(count, 1)), batch
@@ -108,7 +111,7 @@ def test_what_only_the_gel_tells_is_learnt(batch: Batch) -> None:
     one = replace(batch, pictures=batch.pictures[:, :1], signal=batch.signal[:, :1], lengths=torch.ones_like(batch.lengths))
     part = Batch(*(getattr(one, name)[:1].repeat_interleave(4, dim=0) for name in Batch.__dataclass_fields__))
     gels = torch.tensor([[2.0, 1.0, 17.0], [2.8, 1.0, 17.0], [2.4, 0.6, 17.0], [2.4, 1.0, 20.0]])
-    part = replace(part, gel=gels, target=torch.tensor([20.0, 70.0, 40.0, 60.0]), rigid=torch.zeros(4, dtype=torch.bool))
+    part = replace(part, gel=gels, target=torch.tensor([20.0, 70.0, 40.0, 60.0]), bounds=torch.tensor([UNBOUND] * 4))
     assert error_by_heart(part) < 0.15 * part.target.std()
 
 
@@ -175,10 +178,39 @@ def test_a_rigid_object_is_only_known_to_be_harder() -> None:
     network = build(CONFIG)
     losses = []
     for mean in (HARDEST - 20, HARDEST, HARDEST + 20, HARDEST + 60):
-        output, batch = with_output([1], torch.tensor([[mean]]), torch.tensor([[5.0]]), [float("nan")], rigid=True)
+        output, batch = with_output([1], torch.tensor([[mean]]), torch.tensor([[5.0]]), [float("nan")], (HARDEST, float("inf")))
         losses.append(float(network.loss(output, batch)))
     assert losses == sorted(losses, reverse=True) and losses[-1] < 1e-6
     assert losses[1] == pytest.approx(np.log(2) * 5 / float(network.scale), rel=1e-5)  # P(y > HARDEST) = 1/2
+
+
+@pytest.mark.parametrize("mean", [-200.0, 20.0, 50.0, 59.0, 70.0, 300.0])
+@pytest.mark.parametrize("bounds", [(40.0, 60.0), (40.0, np.inf), (-np.inf, 60.0)])
+def test_between_bounds_it_is_the_likelihood(bounds: tuple[float, float], mean: float) -> None:
+    """Beside SciPy's, far into the tails, where a plain difference of two probabilities is 0; with finite gradients."""
+    value, spread = torch.tensor([[mean]], dtype=torch.float64, requires_grad=True), torch.tensor([[5.0]], dtype=torch.float64)
+    found = log_between(*(torch.tensor([[end]], dtype=torch.float64) for end in bounds), value, spread.requires_grad_())
+    below, above = ((end - mean) / 5.0 for end in bounds)
+    one, other = (norm.logcdf(end) for end in ((-above, -below) if below > 0 else (below, above)))
+    wanted = other + np.log1p(-np.exp(one - other))
+    assert float(found.detach()) == pytest.approx(wanted, rel=1e-6, abs=1e-12)
+    found.sum().backward()
+    assert value.grad is not None and spread.grad is not None and torch.isfinite(value.grad).all() and torch.isfinite(spread.grad).all()
+
+
+def test_classes_are_in_order_and_say_what_they_are() -> None:
+    network = build(replace(CONFIG, model=replace(CONFIG.model, classes=4)))
+    assert isinstance(network, PressNet)
+    bounds = network.class_bounds().detach()
+    assert bounds[0, 0] == -np.inf and bounds[-1, 1] == np.inf
+    assert (bounds[1:, 0] == bounds[:-1, 1]).all() and (bounds[1:-1, 1] > bounds[1:-1, 0]).all()
+    losses = []
+    for rank in range(4):
+        output, batch = with_output([1], torch.tensor([[55.0]]), torch.tensor([[20.0]]), [float("nan")], rank=rank)
+        losses.append(float(network.loss(output, batch).detach()) * float(network.scale) / 20.0)
+    assert np.exp(-np.array(losses)).sum() == pytest.approx(1.0, abs=1e-5)
+    network.loss(*with_output([1], torch.tensor([[55.0]]), torch.tensor([[20.0]]), [float("nan")], rank=1)).backward()
+    assert network.cuts is not None and network.cuts.grad is not None and (network.cuts.grad[:2] != 0).all()
 
 
 def test_vgg16_has_torchvisions_layers() -> None:

@@ -12,6 +12,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from conftest import TINY, fake_dataset
@@ -20,8 +21,12 @@ from gelsim.data.episodes import load_dataset
 from gelsim.errors import GelsimError
 from learn import checkpoint, cli
 from learn.config import LearnError, configure, from_plain, to_plain
+from learn.data import held_presses, sides
+from learn.estimate import batches, estimate
 from learn.logs import read_curves
+from learn.model import PressNet
 from learn.predict import find_model
+from learn.recordings import archive
 from learn.train import Place, _average, rate_at, train
 
 
@@ -147,6 +152,27 @@ def test_an_existing_run_is_not_touched(fake_data: Path, tiny_run: Path, tmp_pat
     other = fake_dataset(tmp_path / "other", seed=1, rigid=False)
     with pytest.raises(LearnError, match="other data"):
         train(other, tiny_run, configure(**TINY, steps=6), resume=True)
+
+
+def test_classes_refine_what_was_trained(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
+    """Presses of which only soft, middle or hard is known, after ones whose hardness was."""
+    data = shutil.copytree(fake_data, tmp_path / "data")
+    rows = [json.loads(line) for line in (fake_data / "meta" / "episodes.jsonl").read_text().splitlines()]
+    for row in rows:
+        if row["shore_00"] is not None:
+            row["hardness_class"], row["shore_00"] = int(row["shore_00"] // 30), None
+    (data / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    config = configure(**TINY | {"validate_every": 100}, steps=300, rate=3e-3)
+    train(data, tmp_path / "run", config, init=tiny_run / "model.pt")
+    kept = checkpoint.load(tmp_path / "run" / "model.pt")
+    network = kept.build()
+    assert isinstance(network, PressNet) and kept.config.model.classes == 3
+    dataset = load_dataset(data)
+    presses = held_presses(archive(dataset, sides(dataset, 0)[0], config.input), config.input, False, 0)
+    shown = [press for press in presses if press is not None and press.rank >= 0]
+    told, found = np.array([press.rank for press in shown]), estimate(network, batches(shown, torch.device("cpu"))).mean
+    cuts = network.class_bounds()[:-1, 1].detach().numpy()
+    assert (cuts.searchsorted(found) == told).mean() > 0.6  # by chance a third
 
 
 def test_a_refused_training_leaves_nothing(

@@ -11,6 +11,7 @@ import pytest
 from gelsim.data.episodes import load_dataset
 from gelsim.errors import SceneError
 from gelsim.generate.real import convert, find_press, labels_of_name
+from gelsim.scene import materials
 
 
 def frames_of_a_press(begin: int = 10, peak: int = 30, count: int = 40, noise: float = 1.5) -> np.ndarray:
@@ -99,6 +100,46 @@ def test_folders_of_pictures_with_labels(tmp_path: Path):
         labels.write_text(text)
         with pytest.raises(SceneError, match=said):
             convert(tmp_path / "in", tmp_path / "out2")
+
+
+@pytest.mark.parametrize(
+    ("cells", "kept"),
+    [
+        ({"shore_a": "30"}, {"shore_a": 30.0}),
+        ({"modulus_kpa": "100"}, {"modulus_kpa": 100.0}),
+        ({"shore_00_low": "80"}, {"shore_00": None, "shore_00_range": [80.0, None]}),
+        ({"shore_00_low": "20", "shore_00_high": "40"}, {"shore_00": None, "shore_00_range": [20.0, 40.0]}),
+        ({"hardness_class": "2", "force_n": "3.5"}, {"shore_00": None, "hardness_class": 2, "peak_force_n": 3.5}),
+        ({"modulus_kpa": "500000"}, {"shore_00": None, "shore_00_range": [99.0, None]}),
+    ],
+)
+def test_hardness_is_told_in_many_ways(tmp_path: Path, cells: dict[str, str], kept: dict[str, object]):
+    write_video(tmp_path / "in/a.avi", frames_of_a_press())
+    (tmp_path / "in/labels.csv").write_text(",".join(["file", *cells]) + "\n" + ",".join(["a.avi", *cells.values()]) + "\n")
+    convert(tmp_path / "in", tmp_path / "out", resolution=(80, 60))
+    (row,) = load_dataset(tmp_path / "out").rows
+    assert kept == {name: row[name] for name in kept}
+    if "shore_a" in cells or cells.get("modulus_kpa") == "100":
+        modulus = materials.modulus_from_shore_a(30.0) if "shore_a" in cells else 100e3
+        assert materials.modulus_from_shore_00(row["shore_00"]) == pytest.approx(modulus)
+
+
+@pytest.mark.parametrize(
+    ("cells", "said"),
+    [
+        ({"shore_a": "30", "hardness_class": "1"}, "give one of them"),
+        ({"shore_00": "30", "shore_00_low": "20"}, "give one of them"),
+        ({"shore_00_low": "50", "shore_00_high": "40"}, "must be below shore_00_high = 40"),
+        ({"hardness_class": "1.5"}, "hardness_class = 1.5: allowed are whole numbers"),
+        ({"shore_a": "95"}, "Shore A"),
+    ],
+)
+def test_hardness_that_says_nothing_is_refused(tmp_path: Path, cells: dict[str, str], said: str):
+    write_video(tmp_path / "in/a.avi", frames_of_a_press())
+    (tmp_path / "in/labels.csv").write_text(",".join(["file", *cells]) + "\n" + ",".join(["a.avi", *cells.values()]) + "\n")
+    with pytest.raises(SceneError, match=said) as caught:
+        convert(tmp_path / "in", tmp_path / "out", resolution=(80, 60))
+    assert "line 2" in str(caught.value)
 
 
 def test_a_lab_that_knows_its_gel_says_so(tmp_path: Path):
