@@ -178,7 +178,7 @@ def check_row(row: object, where: str) -> None:
 def _check_range(bounds: object, where: str) -> None:
     low, high = SHORE_00
     ends = bounds if isinstance(bounds, list) and len(bounds) == 2 else [bounds]
-    told = [end for end in ends if end is not None]
+    told: list[Any] = [end for end in ends if end is not None]
     # A NaN is within no bounds.
     right = all(isinstance(end, (int, float)) and not isinstance(end, bool) and low <= end <= high for end in told)
     if len(ends) != 2 or not told or not right or (len(told) == 2 and told[0] >= told[1]):
