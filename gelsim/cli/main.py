@@ -13,6 +13,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -317,6 +318,7 @@ def _add_common(parser: Parser, run: Callable[[argparse.Namespace], dict[str, An
         help="many presses in one run: columns are fields of the scene (offset_mm, press.tilt_deg, …), a row a pose; a folder of each "
         "in --out, named by the column name or counted, and poses.csv of what they gave (default: out/SHAPE-HARDNESS-poses)",
     )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes that share --poses (default: one per core, one on a GPU)")
     _add_again(
         parser,
         force="replace the results in an existing folder; other files in it stay",
@@ -355,23 +357,21 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
     probe = getattr(options, "probe", None)
     from gelsim.pipeline import stages
 
-    def run(scene: Scene, out: Path, progress: stages.Progress | None = None) -> dict[str, Any]:
-        return stages.run(
-            scene,
-            out,
-            render_frames=render,
-            force=options.force,
-            resume=options.resume,
-            device=options.device,
-            probe=Path(probe) if probe else None,
-            radiance=getattr(options, "exr", False),
-            progress=progress,
-        )
-
+    run = partial(
+        stages.run,
+        render_frames=render,
+        force=options.force,
+        resume=options.resume,
+        device=options.device,
+        probe=Path(probe) if probe else None,
+        radiance=getattr(options, "exr", False),
+    )
     if options.poses:
         return _run_poses(options, scene, run, render)
+    if options.workers is not None:
+        raise SceneError("--workers: they share the poses of --poses")
     with progress_bars() as progress:
-        report = run(scene, Path(options.out) if options.out else _default_folder(scene), progress)
+        report = run(scene, Path(options.out) if options.out else _default_folder(scene), progress=progress)
     if not options.json:
         print(stages.summary(report))
     return report
@@ -382,14 +382,25 @@ def _run_poses(options: argparse.Namespace, scene: Scene, run: Callable[[Scene, 
 
     out = Path(options.out) if options.out else _default_folder(scene).with_name(f"{_default_folder(scene).name}-poses")
     table = poses.read_poses(Path(options.poses), scene)
+    workers = options.workers
+    if workers is None:
+        workers = 1 if options.device == "cuda" or (drawn and _draws_on_gpu(options.device)) else os.cpu_count() or 1
     with progress_bars() as progress:
-        result = poses.run_many(table, out, run, drawn=drawn, force=options.force, resume=options.resume, progress=progress)
+        result = poses.run_many(
+            table, out, run, drawn=drawn, force=options.force, resume=options.resume, workers=workers, progress=progress
+        )
     if not options.json:
         rate = f", {result['seconds_a_pose']:.2f} s each" if result["made"] else ""
         print(f"{result['out']}/{poses.TABLE}: {result['poses']} poses, {result['made']} made now{rate}")
     for item in result["failed"]:
         print(f"gelsim: failed: {item['pose']}: {item['message']}", file=sys.stderr)
     return result | ({"exit_code": PARTIAL} if result["failed"] else {})
+
+
+def _draws_on_gpu(device: str) -> bool:
+    from gelsim.optics import choose_variant
+
+    return choose_variant(device).name.startswith("cuda")
 
 
 def _inspect(options: argparse.Namespace) -> dict[str, Any]:

@@ -24,6 +24,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -46,7 +47,7 @@ from gelsim.fem.hyperelastic import (
     principal_axes,
     volume_change,
 )
-from gelsim.fem.pattern import PairPattern, add_block, add_entry, element_pairs, pair_offset
+from gelsim.fem.pattern import PairPattern, element_pairs, find_entry, pair_offset
 from gelsim.fem.planar.elements import PlanarQuadrature
 from gelsim.fem.viscoelastic import Memory
 from gelsim.scene.materials import OGDEN_TERMS
@@ -56,30 +57,49 @@ wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 Array = NDArray[np.float64]
 
 
+# Numbers of a tet's upper triangle: 55 blocks of nodes, 40 columns and 10 entries of pressures.
+TET_ENTRIES = 55 * 9 + 40 * 3 + 10
+
+
+@wp.kernel(enable_backward=False)
+def tet_entries(tets: wp.array2d(dtype=wp.int32), pattern: PairPattern, entries: wp.array2d(dtype=wp.int32)):
+    """Where each number of a tet goes; -1 for none. The search takes as long as a tangent.
+
+    Blocks of nodes a ≤ b come first; then, of each node that carries a pressure, columns of all displacements and pressures from it on.
+    """
+    t = wp.tid()
+    at = int(0)
+    for a in range(10):
+        for b in range(a, 10):
+            offset = pair_offset(pattern, tets[t, a], tets[t, b])
+            for i in range(3):
+                for j in range(3):
+                    entries[t, at] = find_entry(pattern, tets[t, a], i, tets[t, b], j, offset)
+                    at += 1
+    for a in range(10, 14):
+        for b in range(10):
+            offset = pair_offset(pattern, tets[t, a], tets[t, b])
+            for i in range(3):
+                entries[t, at] = find_entry(pattern, tets[t, b], i, tets[t, a], 3, offset)
+                at += 1
+        for b in range(a, 14):
+            entries[t, at] = find_entry(pattern, tets[t, a], 3, tets[t, b], 3, pair_offset(pattern, tets[t, a], tets[t, b]))
+            at += 1
+
+
 @wp.func
-def scatter_pair(pattern: PairPattern, values: wp.array(dtype=wp.float64), tets: wp.array2d(dtype=wp.int32), t: wp.int32, a: wp.int32,
-                 b: wp.int32, block: wp.mat33d, coupling_ab: wp.vec3d, coupling_ba: wp.vec3d, pp: wp.float64):  # fmt: skip
-    """Adds what local nodes a ≤ b of a tet share: u_a with u_b, u_a with p_b, p_a with u_b, p_a with p_b; pressures are of nodes 0 … 3."""
-    na = tets[t, a]
-    nb = tets[t, b]
-    offset = pair_offset(pattern, na, nb)
-    add_block(pattern, values, na, nb, offset, block)
-    if b < 4:
-        pb = tets[t, 10 + b]
-        other = offset
-        if pb != nb:
-            other = pair_offset(pattern, na, pb)
-        for i in range(3):
-            add_entry(pattern, values, na, i, pb, 3, other, coupling_ab[i])
-        # a ≤ b: both carry pressures
-        add_entry(pattern, values, tets[t, 10 + a], 3, pb, 3, pair_offset(pattern, tets[t, 10 + a], pb), pp)
-    if a < 4 and a != b:
-        pa = tets[t, 10 + a]
-        other = offset
-        if pa != na:
-            other = pair_offset(pattern, pa, nb)
-        for i in range(3):
-            add_entry(pattern, values, pa, 3, nb, i, other, coupling_ba[i])
+def scatter(values: wp.array(dtype=wp.float64), entry: wp.int32, value: wp.float64):
+    if entry >= 0:
+        wp.atomic_add(values, entry, value)
+
+
+@wp.func
+def scatter_block(entries: wp.array2d(dtype=wp.int32), values: wp.array(dtype=wp.float64), t: wp.int32, at: wp.int32,
+                  block: wp.mat33d):  # fmt: skip
+    """Adds what two nodes of a tet share, its numbers from `at` on."""
+    for i in range(3):
+        for j in range(3):
+            scatter(values, entries[t, at + 3 * i + j], block[i, j])
 
 
 def element_kernels(points: int, family: str):
@@ -90,7 +110,7 @@ def element_kernels(points: int, family: str):
 @lru_cache(maxsize=4)
 def _cubic_kernels(points: int):
     rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
-    per_point = wp.types.matrix(shape=(points, 6), dtype=wp.float64)
+    per_point = wp.types.matrix(shape=(points, 3), dtype=wp.float64)
     Q = wp.constant(points)
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
@@ -138,12 +158,15 @@ def _cubic_kernels(points: int):
         tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
         gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
         law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), held: wp.array(dtype=wp.float64),
-        pattern: PairPattern, values: wp.array(dtype=wp.float64),
+        entries: wp.array2d(dtype=wp.int32), values: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         t = wp.tid()
-        # per point and node: f = F G_a, alpha = F⁻ᵀ G_a; P̂ G_a follows from both
+        # per point and node: f = F G, α = F⁻ᵀ G, and r, s of a block's f_a ⊗ r_b + α_a ⊗ s_b
         fg = rows()
         ag = rows()
+        rg = rows()
+        sg = rows()
+        # per point, weights of (G_a·G_b) 1, of α_b ⊗ α_a, and of α with a pressure
         scalars = per_point()
         third = wp.float64(1.0) / wp.float64(3.0)
         for q in range(Q):
@@ -159,48 +182,55 @@ def _cubic_kernels(points: int):
             for b in range(4):
                 p += shape[q, b] * pressure[tets[t, 10 + b]]
             w = weights[t, q]
-            scalars[q, 0] = w * wp.float64(2.0) * law_slope(law[t], excess) * scale  # c
-            scalars[q, 1] = w * wp.float64(4.0) * law_curvature(law[t], excess) * scale * scale  # weight of P̂ ⊗ P̂
-            scalars[q, 2] = wp.ddot(f, f) * third
-            scalars[q, 3] = w * (p + held[t] * (j - wp.float64(1.0))) * j
-            scalars[q, 4] = w * j
-            scalars[q, 5] = w * held[t] * j * j
+            slope = w * wp.float64(2.0) * law_slope(law[t], excess) * scale
+            curvature = w * wp.float64(4.0) * law_curvature(law[t], excess) * scale * scale
+            i1 = wp.ddot(f, f) * third
+            pj = w * (p + held[t] * (j - wp.float64(1.0))) * j
+            two = wp.float64(2.0) * third * slope
+            outer = two * i1 + pj + w * held[t] * j * j
+            scalars[q, 0] = slope
+            scalars[q, 1] = slope * i1 - pj
+            scalars[q, 2] = w * j
             for a in range(10):
-                g = gradients[t, q, a]
-                fa = f * g
-                aa = inverse_transpose * g
+                fa = f * gradients[t, q, a]
+                aa = inverse_transpose * gradients[t, q, a]
+                bent = curvature * (fa - i1 * aa)
+                ra = bent - two * aa
+                sa = outer * aa - two * fa - i1 * bent
                 for c in range(3):
                     fg[q * 10 + a, c] = fa[c]
                     ag[q * 10 + a, c] = aa[c]
+                    rg[q * 10 + a, c] = ra[c]
+                    sg[q * 10 + a, c] = sa[c]
+        at = int(0)
         for a in range(10):
             for b in range(a, 10):
                 block = wp.mat33d()
-                coupling_ab = wp.vec3d()  # u_a with p_b
-                coupling_ba = wp.vec3d()  # u_b with p_a
-                pp = wp.float64(0.0)
                 for q in range(Q):
                     fa = wp.vec3d(fg[q * 10 + a, 0], fg[q * 10 + a, 1], fg[q * 10 + a, 2])
-                    fb = wp.vec3d(fg[q * 10 + b, 0], fg[q * 10 + b, 1], fg[q * 10 + b, 2])
                     aa = wp.vec3d(ag[q * 10 + a, 0], ag[q * 10 + a, 1], ag[q * 10 + a, 2])
                     ab = wp.vec3d(ag[q * 10 + b, 0], ag[q * 10 + b, 1], ag[q * 10 + b, 2])
-                    slope = scalars[q, 0]
-                    i1 = scalars[q, 2]
-                    d = slope * wp.dot(gradients[t, q, a], gradients[t, q, b])
-                    pj = scalars[q, 3]
-                    two = wp.float64(2.0) * third
-                    outer_ab = wp.outer(aa, ab)
-                    block += wp.diag(wp.vec3d(d, d, d))
-                    block += wp.outer((-two * slope) * aa, fb) + wp.outer((-two * slope) * fa, ab)
-                    block += (two * i1 * slope + pj + scalars[q, 5]) * outer_ab + (slope * i1 - pj) * wp.transpose(outer_ab)
-                    if scalars[q, 1] != wp.float64(0.0):
-                        block += scalars[q, 1] * wp.outer(fa - i1 * aa, fb - i1 * ab)
-                    wj = scalars[q, 4]
-                    if b < 4:
-                        coupling_ab += (wj * shape[q, b]) * aa
-                        pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
-                    if a < 4:
-                        coupling_ba += (wj * shape[q, a]) * ab
-                scatter_pair(pattern, values, tets, t, a, b, block, coupling_ab, coupling_ba, pp)
+                    rb = wp.vec3d(rg[q * 10 + b, 0], rg[q * 10 + b, 1], rg[q * 10 + b, 2])
+                    sb = wp.vec3d(sg[q * 10 + b, 0], sg[q * 10 + b, 1], sg[q * 10 + b, 2])
+                    d = scalars[q, 0] * wp.dot(gradients[t, q, a], gradients[t, q, b])
+                    block += wp.outer(fa, rb) + wp.outer(aa, sb) + wp.outer(scalars[q, 1] * ab, aa) + wp.diag(wp.vec3d(d, d, d))
+                scatter_block(entries, values, t, at, block)
+                at += 9
+        for a in range(4):
+            for b in range(10):
+                coupling = wp.vec3d()  # of p_a with u_b
+                for q in range(Q):
+                    ab = wp.vec3d(ag[q * 10 + b, 0], ag[q * 10 + b, 1], ag[q * 10 + b, 2])
+                    coupling += (scalars[q, 2] * shape[q, a]) * ab
+                for i in range(3):
+                    scatter(values, entries[t, at + i], coupling[i])
+                at += 3
+            for b in range(a, 4):
+                pp = wp.float64(0.0)
+                for q in range(Q):
+                    pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
+                scatter(values, entries[t, at], pp)
+                at += 1
 
     return residual, tangent
 
@@ -209,7 +239,6 @@ def _cubic_kernels(points: int):
 def _ogden_kernels(points: int):
     rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
     axes = wp.types.matrix(shape=(points, 9), dtype=wp.float64)
-    triples = wp.types.matrix(shape=(points, 3), dtype=wp.float64)
     per_point = wp.types.matrix(shape=(points, 13), dtype=wp.float64)
     Q = wp.constant(points)
 
@@ -258,17 +287,17 @@ def _ogden_kernels(points: int):
         tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
         gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
         law: wp.array(dtype=OgdenConstants), kappa: wp.array(dtype=wp.float64), held: wp.array(dtype=wp.float64),
-        pattern: PairPattern, values: wp.array(dtype=wp.float64),
+        entries: wp.array2d(dtype=wp.int32), values: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         t = wp.tid()
         half = wp.float64(0.5)
-        # per point: n_A in columns, and per node N_A · G_a
+        # per point: n_A in columns, and per node N_A · G_a and F⁻ᵀ G_a
         spatial = axes()
         gn = rows()
+        ag = rows()
         # 0-2: W_AA; 3-5: W_AB, 6-8: P_AB, 9-11: Q_AB of the pairs 01, 02, 12; 12: weight. W and Q with p J of the volume, which in
         # principal axes is ± p J/(λ_A λ_B) and no more.
         scalars = per_point()
-        stretches = triples()
         for q in range(Q):
             h = wp.mat33d()
             for a in range(10):
@@ -288,7 +317,6 @@ def _ogden_kernels(points: int):
             jj = held[t] * j * j
             w = weights[t, q]
             for k in range(3):
-                stretches[q, k] = stretch[k]
                 scalars[q, k] = w * (slope[k, k] - beta[k] + jj) / (stretch[k] * stretch[k])
                 m = k // 2
                 n = 1 + (k + 1) // 2
@@ -304,16 +332,17 @@ def _ogden_kernels(points: int):
                 axis = f * wp.vec3d(v[0, c], v[1, c], v[2, c]) / stretch[c]
                 for i in range(3):
                     spatial[q, 3 * i + c] = axis[i]
+            inverse_transpose = cofactor(f) / j
             for a in range(10):
                 g = wp.transpose(v) * gradients[t, q, a]
+                aa = inverse_transpose * gradients[t, q, a]
                 for c in range(3):
                     gn[q * 10 + a, c] = g[c]
+                    ag[q * 10 + a, c] = aa[c]
+        at = int(0)
         for a in range(10):
             for b in range(a, 10):
                 block = wp.mat33d()
-                coupling_ab = wp.vec3d()  # u_a with p_b
-                coupling_ba = wp.vec3d()  # u_b with p_a
-                pp = wp.float64(0.0)
                 for q in range(Q):
                     ga = wp.vec3d(gn[q * 10 + a, 0], gn[q * 10 + a, 1], gn[q * 10 + a, 2])
                     gb = wp.vec3d(gn[q * 10 + b, 0], gn[q * 10 + b, 1], gn[q * 10 + b, 2])
@@ -337,14 +366,23 @@ def _ogden_kernels(points: int):
                         scalars[q, 7] * xx + scalars[q, 8] * yy + scalars[q, 2] * zz,
                     )
                     block += turn * local * wp.transpose(turn)
-                    if a < 4:
-                        # F⁻ᵀ G = Σ (N·G)/λ n
-                        stretch = wp.vec3d(stretches[q, 0], stretches[q, 1], stretches[q, 2])
-                        coupling_ba += (scalars[q, 12] * shape[q, a]) * (turn * wp.cw_div(gb, stretch))
-                        if b < 4:
-                            coupling_ab += (scalars[q, 12] * shape[q, b]) * (turn * wp.cw_div(ga, stretch))
-                            pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
-                scatter_pair(pattern, values, tets, t, a, b, block, coupling_ab, coupling_ba, pp)
+                scatter_block(entries, values, t, at, block)
+                at += 9
+        for a in range(4):
+            for b in range(10):
+                coupling = wp.vec3d()  # of p_a with u_b
+                for q in range(Q):
+                    ab = wp.vec3d(ag[q * 10 + b, 0], ag[q * 10 + b, 1], ag[q * 10 + b, 2])
+                    coupling += (scalars[q, 12] * shape[q, a]) * ab
+                for i in range(3):
+                    scatter(values, entries[t, at + i], coupling[i])
+                at += 3
+            for b in range(a, 4):
+                pp = wp.float64(0.0)
+                for q in range(Q):
+                    pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
+                scatter(values, entries[t, at], pp)
+                at += 1
 
     return ogden_residual, ogden_tangent
 
@@ -416,6 +454,7 @@ class Solids:
         ]  # fmt: skip
         self._held = [wp.zeros(len(tets), dtype=wp.float64, device=device)]
         self._memory: Memory | None = None
+        self._entries: tuple[PairPattern, wp.array] | None = None
         self._apart: list[wp.array] = []
         """What threads add to: fresh memory would cost as much as what is added to it."""
         self._element_energy = wp.zeros(len(tets), dtype=wp.float64, device=device)
@@ -431,6 +470,7 @@ class Solids:
             raise ValueError("viscoelastic solids cannot be joined")
         first, joint = solids[0], copy.copy(solids[0])
         joint.__dict__.pop("keys", None)
+        joint._entries = None
         count = len(solids)
         shift = np.arange(count, dtype=np.int32)
         joint.rest = np.concatenate([s.rest for s in solids])
@@ -486,12 +526,21 @@ class Solids:
 
     def add_tangent(self, pairs: PairPattern, values: wp.array) -> None:
         """Adds ∂²Π to the matrix."""
+        entries = self.entries(pairs)
         if (threads := self._threads()) > 1:
-            self._add_by_threads(threads, pairs, values)
+            self._add_by_threads(threads, entries, values)
         else:
-            wp.launch(self._tangent, len(self.tets), [*self._inputs, *self._held, pairs, values], device=self.device)
+            wp.launch(self._tangent, len(self.tets), [*self._inputs, *self._held, entries, values], device=self.device)
         if self._memory is not None:
             self._memory.add_tangent(pairs, values)
+
+    def entries(self, pairs: PairPattern) -> Any:
+        """What the tangent's kernel finds entries by: where each tet's numbers go, (T, TET_ENTRIES), kept until another pattern comes."""
+        if self._entries is None or self._entries[0] is not pairs:
+            found = wp.empty((len(self.tets), TET_ENTRIES), dtype=wp.int32, device=self.device)
+            wp.launch(tet_entries, len(self.tets), [self._inputs[0], pairs, found], device=self.device)
+            self._entries = pairs, found
+        return self._entries[1]
 
     def _threads(self) -> int:
         """How many share the assembly of a tangent: as many as the environment grants and pay."""
@@ -501,7 +550,7 @@ class Solids:
         cores = int(granted) if granted.isdigit() else os.cpu_count() or 1
         return max(1, min(cores, MOST_THREADS, self.tets.size // THREAD_NODES))
 
-    def _add_by_threads(self, threads: int, pairs: PairPattern, values: wp.array) -> None:
+    def _add_by_threads(self, threads: int, entries: Any, values: wp.array) -> None:
         """`add_tangent` with a part of the tets for each thread; all but the first add to a matrix of their own."""
         if [len(part) for part in self._apart] != [len(values)] * (threads - 1):
             self._apart = [wp.empty_like(values) for _ in range(threads - 1)]
@@ -512,7 +561,8 @@ class Solids:
         launches = []
         for first, last, part in zip(bounds[:-1], bounds[1:], [values, *self._apart], strict=True):
             inputs = [array if number in shared else array[first:last] for number, array in enumerate(self._inputs)]
-            arguments = [*inputs, *(array[first:last] for array in self._held), pairs, part]
+            where = entries[first:last] if isinstance(entries, wp.array) else entries
+            arguments = [*inputs, *(array[first:last] for array in self._held), where, part]
             launches.append(wp.launch(self._tangent, last - first, arguments, device=self.device, record_cmd=True))
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(wp.Launch.launch, launches))  # kernels without tiles share nothing, and no lock of Python's is held

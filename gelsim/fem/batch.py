@@ -383,6 +383,7 @@ class _Batch:
         self._pairs = repeat_pairs(self.pattern, self.count)
         self.values = wp.zeros(self.count * len(self.pattern.indices), dtype=wp.float64, device=self.solids.device)
         self._graphs.pop("tangent", None)
+        self.solids.entries(self._pairs)  # now: a graph that is recorded may not allocate
         self.system.analyse(self.pattern.indptr, self.pattern.indices)
         device = self.solids.device
         self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))

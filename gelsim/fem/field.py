@@ -405,6 +405,6 @@ def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
             near = near[away < away.min() + 1.0] if len(near) > 1000 else near
         nearest = near[np.argsort(away)[:500]]
         step /= 5.0
-        fine = step * np.stack(np.meshgrid(*[np.arange(-3, 4)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)  # to halfway to the next
+        fine = step * np.stack(np.meshgrid(*[np.arange(-2, 3)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)  # nearer to it than to the next
         places = np.clip((places[nearest, None] + fine).reshape(-1, 2), -half, half)
     return turn, low / MM_PER_M

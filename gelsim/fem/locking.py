@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from gelsim.fem.assembly import Solids
+from gelsim.fem.assembly import Solids, scatter, scatter_block
 from gelsim.fem.hyperelastic import cofactor, volume_change
-from gelsim.fem.pattern import PairPattern, add_block, add_entry, find_pair, pair_offset
 
 wp.set_module_options({"max_unroll": 1, "enable_backward": False})
 
@@ -50,7 +49,7 @@ def locked_tangent(
     tets: wp.array2d(dtype=wp.int32), displacement: wp.array(dtype=wp.vec3d), pressure: wp.array(dtype=wp.float64),
     gradients: wp.array3d(dtype=wp.vec3d), weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
     law: wp.array(dtype=wp.vec3d), kappa: wp.array(dtype=wp.float64), _held: wp.array(dtype=wp.float64),
-    pattern: PairPattern, values: wp.array(dtype=wp.float64),
+    entries: wp.array2d(dtype=wp.int32), values: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     t = wp.tid()
     third = wp.float64(1.0) / wp.float64(3.0)
@@ -67,6 +66,7 @@ def locked_tangent(
         slope = w * wp.float64(2.0) * law[t][0] * wp.pow(j, -two)
         i1 = wp.ddot(f, f) * third
         pj = w * kappa[t] * dv * j
+        at = int(0)
         for a in range(10):
             ga = gradients[t, q, a]
             fa = f * ga
@@ -79,13 +79,13 @@ def locked_tangent(
                 outer_ab = wp.outer(aa, ab)
                 block = wp.diag(wp.vec3d(d, d, d)) + wp.outer((-two * slope) * aa, fb) + wp.outer((-two * slope) * fa, ab)
                 block += (two * i1 * slope + pj + w * kappa[t] * j * j) * outer_ab + (slope * i1 - pj) * wp.transpose(outer_ab)
-                add_block(pattern, values, tets[t, a], tets[t, b], pair_offset(pattern, tets[t, a], tets[t, b]), block)
+                scatter_block(entries, values, t, at, block)
+                at += 9
         for a in range(4):
+            at += 30
             for b in range(a, 4):
-                offset = 0
-                if tets[t, a] != tets[t, b]:
-                    offset = find_pair(pattern, wp.min(tets[t, a], tets[t, b]), wp.max(tets[t, a], tets[t, b]))
-                add_entry(pattern, values, tets[t, a], 3, tets[t, b], 3, offset, -w * shape[q, a] * shape[q, b] / kappa[t])
+                scatter(values, entries[t, at], -w * shape[q, a] * shape[q, b] / kappa[t])
+                at += 1
 
 
 def lock(solids: Solids) -> None:

@@ -52,9 +52,8 @@ def row_start(pattern: PairPattern, i: wp.int32, li: wp.int32) -> wp.int32:
 
 
 @wp.func
-def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, ca: wp.int32, b: wp.int32, cb: wp.int32,
-              offset: wp.int32, value: wp.float64):  # fmt: skip
-    """Adds to the entry (node a component ca, node b component cb) and so to its mirror; for a = b only the upper half is kept.
+def find_entry(pattern: PairPattern, a: wp.int32, ca: wp.int32, b: wp.int32, cb: wp.int32, offset: wp.int32) -> wp.int32:
+    """Where the entry (node a component ca, node b component cb) or its mirror lies; -1 where one is prescribed, or for a = b ca > cb.
 
     `offset` is `find_pair` of the two nodes, unused for a = b.
     """
@@ -68,14 +67,21 @@ def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.in
         swap = li
         li = lj
         lj = swap
-    if li < 0 or lj < 0:
-        return
-    start = row_start(pattern, i, li)
-    if i == j:
-        if lj >= li:
-            wp.atomic_add(values, start + lj, value)
-    else:
-        wp.atomic_add(values, start + pattern.count[i] + offset + lj, value)
+    if li < 0 or lj < 0 or (i == j and lj < li):
+        return -1
+    start = row_start(pattern, i, li) + lj
+    if i != j:
+        start += pattern.count[i] + offset
+    return start
+
+
+@wp.func
+def add_entry(pattern: PairPattern, values: wp.array(dtype=wp.float64), a: wp.int32, ca: wp.int32, b: wp.int32, cb: wp.int32,
+              offset: wp.int32, value: wp.float64):  # fmt: skip
+    """Adds to the entry that `find_entry` finds, if it does."""
+    entry = find_entry(pattern, a, ca, b, cb, offset)
+    if entry >= 0:
+        wp.atomic_add(values, entry, value)
 
 
 @wp.func

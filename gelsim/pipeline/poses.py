@@ -1,17 +1,18 @@
-"""Many presses of one scene: a table of poses, each a few fields of the scene, solved in one process that keeps what they share.
+"""Many presses of one scene: a table of poses, each a few fields of the scene, solved by processes that keep what poses share.
 
 Kept from pose to pose: the file of a mesh, the object's surface and its distance field, compiled kernels. A gel's mesh is made for where a
-pose touches, so that it and its factors are each pose's own.
+pose touches, so that it and its factors are each pose's own. Workers do not share what they keep.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gelsim.errors import GelsimError, SceneError, within
 from gelsim.pipeline import outputs, stages
@@ -21,6 +22,7 @@ from gelsim.scene.distributions import field_kind
 from gelsim.scene.fields import field_types, nearest, parse_text
 from gelsim.scene.layers import anchored, build_scene, nested, scene_table
 from gelsim.tables import read_csv, write_csv
+from gelsim.work.workers import Handful, LocalCrew, WorkError, check_count, work_through
 
 NAME = "name"
 """Column that names a pose's folder; without it they are counted."""
@@ -69,7 +71,12 @@ def posed(scene: Scene, layer: Mapping[str, Any]) -> Scene:
 
 
 def press_many(
-    scene: Scene, poses: Sequence[Mapping[str, Any]], *, device: str = "auto", progress: stages.Progress | None = None
+    scene: Scene,
+    poses: Sequence[Mapping[str, Any]],
+    *,
+    device: str = "auto",
+    workers: int = 1,
+    progress: stages.Progress | None = None,
 ) -> list[Deformation]:
     """Solves a scene in many poses: on a CUDA device side by side where meshes are the same, else one after the other.
 
@@ -77,9 +84,12 @@ def press_many(
 
     Args:
         poses: Of each the fields that differ, by full name ("press.offset_mm"); those of [object] and [press] by their own name too.
+        workers: Processes that share the poses on the CPU, each on one thread; a script of several calls it under
+            `if __name__ == "__main__"`.
     Raises:
-        SceneError: A pose names an unknown field or makes no scene. SceneError, MeshingError: as `press`.
+        SceneError: A pose names an unknown field or makes no scene. SceneError, MeshingError: as `press`. WorkError: a worker died.
     """
+    check_count(workers)
     scenes = []
     for number, pose in enumerate(poses):
         with within(f"pose {number + 1} of {len(poses)}"):
@@ -89,12 +99,14 @@ def press_many(
     quiet_warp()
     if batch_device(device) != "cpu":
         return stages.press_batch(scenes, device=device, progress=progress)
-    found = []
-    for scene in scenes:
-        found.append(stages.press(scene, device="cpu", throw=False))
+    found: dict[int, Deformation] = {}
+    for number, press in _spread(range(len(scenes)), workers, partial(_press_one, scenes), WorkError):
+        if isinstance(press, GelsimError):
+            raise press
+        found[number] = press
         if progress is not None:
             progress("poses", len(found), len(scenes))
-    return found
+    return [found[number] for number in range(len(scenes))]
 
 
 def run_many(
@@ -105,46 +117,88 @@ def run_many(
     drawn: bool = False,
     force: bool = False,
     resume: bool = False,
+    workers: int = 1,
     progress: stages.Progress | None = None,
 ) -> dict[str, Any]:
-    """Runs poses one after the other, each into a folder of `out` with its name, and writes a table of what they gave.
+    """Runs poses, each into a folder of `out` with its name, and writes a table of what they gave.
 
     Args:
-        run: Computes a scene into a folder and returns its report, as `stages.run`.
+        run: Computes a scene into a folder and returns its report, as `stages.run`; for several workers it can be pickled.
         drawn: Whether it draws pictures.
         force: Replaces results of poses. resume: Leaves out poses that were done, as their reports say.
+        workers: Processes that share the poses, each on one thread.
     Raises:
         SceneError: `out` holds results and neither was given.
     """
+    check_count(workers)
     if out.exists() and any(out.iterdir()) and not (force or resume):
         raise SceneError(f"--out {out}: the folder is not empty; give --force to replace results in it, --resume to go on, or another name")
-    rows, start, made, failed = [], time.perf_counter(), 0, []
-    for number, pose in enumerate(poses):
-        row: dict[str, Any] = {NAME: pose.name}
-        try:
-            report = _earlier(pose, out, drawn) if resume else None
-            if report is None:
-                report, made = run(pose.scene, out / pose.name), made + 1
+    start, rows, failed = time.perf_counter(), {}, {}
+
+    def add(number: int, report: dict[str, Any] | GelsimError) -> None:
+        row: dict[str, Any] = {NAME: poses[number].name}
+        if isinstance(report, GelsimError):  # one pose that cannot be is no reason to leave the others
+            row["status"] = failed[number] = str(report)
+        else:
             final = report["final"]
             row |= {name: final[name] for name in ("approach_mm", "normal_force_n", "contact_area_mm2")}
             row |= {"status": report["status"], "seconds": report["seconds"]["total"], "warnings": len(report["warnings"])}
-        except GelsimError as error:  # one pose that cannot be is no reason to leave the others
-            row |= {"status": str(error)}
-            failed.append({"pose": pose.name, "message": str(error)})
-        rows.append(row)
+        rows[number] = row
         if out.is_dir():
-            write_csv(out / TABLE, rows)
+            write_csv(out / TABLE, [rows[done] for done in sorted(rows)])
         if progress is not None:
-            progress("poses", number + 1, len(poses))
-    seconds = time.perf_counter() - start
+            progress("poses", len(rows), len(poses))
+
+    for number, pose in enumerate(poses if resume else ()):
+        if (report := _earlier(pose, out, drawn)) is not None:
+            add(number, report)
+    left = [number for number in range(len(poses)) if number not in rows]
+    ahead = 1 if drawn else 0  # here, alone: it measures the sensor's light, which the others find
+    for some, several in ((left[:ahead], 1), (left[ahead:], workers)):
+        for number, report in _spread(some, several, partial(_run_one, poses, out, run), WorkError):
+            add(number, report)
+    seconds, made = time.perf_counter() - start, len(left) - len(failed)
     return {
         "out": str(out),
         "poses": len(poses),
-        "failed": failed,
+        "failed": [{"pose": poses[number].name, "message": failed[number]} for number in sorted(failed)],
         "seconds": round(seconds, 3),
         "made": made,
         "seconds_a_pose": round(seconds / made, 3) if made else None,
     }
+
+
+T = TypeVar("T")
+
+
+def _spread(numbers: Sequence[int], workers: int, work: Callable[[int], T], lost: Callable[[str], T]) -> Iterator[tuple[int, T]]:
+    """Does numbered pieces, in this process or in several; yields each as it is done, with its number: as `lost` if its workers died."""
+    if min(workers, len(numbers)) < 2:
+        yield from ((number, work(number)) for number in numbers)
+        return
+
+    def told(handful: Handful, status: str, message: str) -> tuple[int, T]:
+        return handful[0], lost(f"{status}: {message}")
+
+    yield from work_through([(number,) for number in numbers], LocalCrew(workers), _make_worker, (work,), told)
+
+
+def _make_worker(work: Callable[[int], T]) -> Callable[[Handful], tuple[int, T]]:
+    return lambda handful: (handful[0], work(handful[0]))
+
+
+def _press_one(scenes: Sequence[Scene], number: int) -> Deformation | GelsimError:
+    try:
+        return stages.press(scenes[number], device="cpu", throw=False)
+    except GelsimError as error:
+        return error
+
+
+def _run_one(poses: Sequence[Pose], out: Path, run: Callable[[Scene, Path], dict[str, Any]], number: int) -> dict[str, Any] | GelsimError:
+    try:
+        return run(poses[number].scene, out / poses[number].name)
+    except GelsimError as error:
+        return error
 
 
 def _earlier(pose: Pose, out: Path, drawn: bool) -> dict[str, Any] | None:

@@ -69,7 +69,8 @@ def test_a_tangent_by_threads_is_the_same(monkeypatch: pytest.MonkeyPatch) -> No
     pattern = build_pattern(solids.free, more, "cpu")
     values = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
     solids.add_tangent(pattern.pairs, values)
-    assert np.isclose(values.numpy().sum(), sp.triu(wanted).sum(), rtol=1e-9)
+    upper = sp.csr_matrix((values.numpy(), pattern.indices, pattern.indptr), shape=wanted.shape)
+    assert abs(upper - sp.triu(wanted)).max() <= 150 * EPS * abs(wanted).max()
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert solids._threads() == 1
     monkeypatch.delenv("OMP_NUM_THREADS")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import gelsim
 from gelsim.cli.main import main
 from gelsim.errors import SceneError
 from gelsim.fem import field
-from gelsim.pipeline.poses import read_poses
+from gelsim.pipeline.poses import read_poses, run_many
 from gelsim.scene.layers import build_scene
 
 BALL: dict[str, Any] = {
@@ -99,3 +101,36 @@ def test_a_pose_that_cannot_be_does_not_stop_the_others(tmp_path: Path, capsys: 
     told = json.loads(capsys.readouterr().out)
     assert [item["pose"] for item in told["failed"]] == ["lost"] and "nowhere.stl" in told["failed"][0]["message"]
     assert (tmp_path / "out" / "fine" / "press.npz").exists()
+
+
+def test_workers_give_what_one_process_gives() -> None:
+    poses: list[dict[str, Any]] = [{"depth_mm": 0.3}, {"depth_mm": 0.1}, {"depth_mm": 0.2}]
+    alone, shared = (gelsim.press_many(build_scene(BALL), poses, device="cpu", workers=workers) for workers in (1, 2))
+    assert [press.approach[-1] for press in shared] == pytest.approx([3e-4, 1e-4, 2e-4])
+    for one, other in zip(alone, shared, strict=True):
+        assert other.force == pytest.approx(one.force, rel=1e-6, abs=1e-9)
+    with pytest.raises(SceneError, match=r"nowhere\.stl"):
+        gelsim.press_many(build_scene(BALL), [*poses, {"shape": "mesh", "mesh": "nowhere.stl"}], device="cpu", workers=2)
+
+
+def made_up(here: int, deadly: str, scene: Any, out: Path) -> dict[str, Any]:
+    """A report that takes no time; the pose named `deadly` ends its worker, but not the process `here`."""
+    if out.name == deadly and os.getpid() != here:
+        os._exit(1)
+    out.mkdir(parents=True)
+    final = {"approach_mm": scene.press.depth_mm, "normal_force_n": 1.0 * (os.getpid() == here), "contact_area_mm2": 0.0}
+    return {"final": final, "status": "converged", "seconds": {"total": 0.0}, "warnings": []}
+
+
+def test_a_pose_that_ends_its_worker_is_named_and_the_table_keeps_its_order(tmp_path: Path) -> None:
+    """Pictures: the first is made here, as it measures the light for all."""
+    poses = read_poses(table(tmp_path, "name,depth_mm\na,0.1\nb,0.2\nc,0.3\nd,0.4\n"), build_scene(BALL))
+    told = run_many(poses, tmp_path / "out", partial(made_up, os.getpid(), "c"), drawn=True, workers=2)
+    assert [item["pose"] for item in told["failed"]] == ["c"] and told["failed"][0]["message"].startswith("DIED") and told["made"] == 3
+    rows = [line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines()]
+    assert [row[0] for row in rows] == ["name", "a", "b", "c", "d"]
+    assert [row[2] for row in rows[1:]] == ["1.0", "0.0", "", "0.0"]
+
+
+def test_workers_without_poses_are_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["press", "--workers", "2"]) == 2 and "--workers: they share the poses of --poses" in capsys.readouterr().err
