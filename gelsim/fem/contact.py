@@ -11,8 +11,7 @@ Pressure is a C² penalty per rest area of the slave, shifted by a multiplier λ
 It acts along n, on x and against it on y. k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere
 exactly, do not turn their sub-micrometre misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's
 faces, then carries the load. What linear functions cannot hold, under a sharp rim, each point keeps for itself, but for the overlap that
-the misfit is granted (LEFT_MM). Derivatives, with ν the master's normal at y, a_α the slave's tangents and
-a^α their duals:
+the misfit is granted (LEFT_MM). Derivatives, with ν the master's normal at y, a_α the slave's tangents and a^α their duals:
 
     δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
@@ -59,7 +58,7 @@ from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]
 
-LEFT_MM = 2e-3  # overlap that multipliers leave to the penalty where they are no linear function; quadratic faces miss a sphere by less
+LEFT_MM = 4e-3  # overlap that the penalty bears where linear multipliers do not fit: with half of it a ball's membrane is 10 % further off
 LOOKED_MM = 1.0  # distance within which every search for the other surface looks at least
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
@@ -421,6 +420,14 @@ class SurfaceContact:
         points = np.flatnonzero((face >= 0) & (gap > 0.0) & (self.pressure.numpy() <= 0.0))
         shares = self._master_shape(self.place.numpy()[points])
         return Apart(points, self.master_faces[face[points]], shares, self.normal.numpy()[points], gap[points])
+
+    def go_on_from(self, here: ContactState, before: ContactState | None = None, ratio: float = 0.0) -> None:
+        """Takes the multipliers, and what is kept beyond them, over from `here`; with `before` they go on by `ratio` of the change since."""
+        multipliers, self.kept = here.multipliers, here.kept.copy()
+        if before is not None:
+            multipliers = multipliers + ratio * (multipliers - before.multipliers)
+            self.kept[:, 0] += ratio * (here.kept[:, 0] - before.kept[:, 0])
+        self.set_multipliers(multipliers)
 
     def set_multipliers(self, at_vertices: Array) -> None:
         """Sets λ and λ_t [kPa] at the slave's face vertices, (V, 4); negative pressure becomes 0."""
