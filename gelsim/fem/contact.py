@@ -58,7 +58,7 @@ from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]
 
-LEFT_MM = 4e-3  # overlap that the penalty bears where linear multipliers do not fit: with half of it a ball's membrane is 10 % further off
+LEFT_MM = 3e-3  # overlap that the penalty bears where linear multipliers do not fit: with less, the membrane on a ball is further off
 LOOKED_MM = 1.0  # distance within which every search for the other surface looks at least
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
@@ -422,7 +422,7 @@ class SurfaceContact:
         return Apart(points, self.master_faces[face[points]], shares, self.normal.numpy()[points], gap[points])
 
     def go_on_from(self, here: ContactState, before: ContactState | None = None, ratio: float = 0.0) -> None:
-        """Takes the multipliers, and what is kept beyond them, over from `here`; with `before` they go on by `ratio` of the change since."""
+        """Takes the multipliers, and what is kept beyond them, over from `here`; with `before`, gone on by `ratio` of the change since."""
         multipliers, self.kept = here.multipliers, here.kept.copy()
         if before is not None:
             multipliers = multipliers + ratio * (multipliers - before.multipliers)

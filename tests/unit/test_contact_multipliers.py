@@ -46,4 +46,4 @@ def test_a_sharp_rim_keeps_the_overlap_that_it_is_granted(punch: PressProblem) -
     """
     granted = LEFT_MM + punch.law.smoothing / 2
     assert overlap_at_rest(punch) < 1.1 * granted
-    assert overlap_at_rest(punch, np.inf) > 3 * granted
+    assert overlap_at_rest(punch, np.inf) > 4 * granted

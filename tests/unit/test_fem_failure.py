@@ -37,9 +37,9 @@ def driven(depth_mm: float, frames: int, thickness_mm: float) -> PressProblem:
 
 @pytest.fixture
 def problem(monkeypatch: pytest.MonkeyPatch) -> PressProblem:
-    """One that is to be driven through a gel of 0.8 mm: the third of four steps ends beyond the window."""
+    """One that is to be driven through a gel of 0.7 mm: the third of four steps ends beyond the window."""
     monkeypatch.setattr(quasistatic, "SMALLEST_STEP", 1 / 4)
-    return driven(1.2, 5, 0.8)
+    return driven(1.2, 5, 0.7)
 
 
 def test_failure_raises_with_what_was_solved(problem: PressProblem) -> None:
