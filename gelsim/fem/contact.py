@@ -10,8 +10,8 @@ Pressure is a C² penalty per rest area of the slave, shifted by a multiplier λ
 
 It acts along n, on x and against it on y. k = c E/h of each face is soft enough that the quadratic faces, which cannot follow a sphere
 exactly, do not turn their sub-micrometre misfit into pressure ripples; λ, the pressure projected on linear functions over the slave's
-faces, then carries the load, so that little overlap is left. Derivatives, with ν the master's normal at y, a_α the slave's tangents and
-a^α their duals:
+faces, then carries the load. What linear functions cannot hold, under a sharp rim, each point keeps for itself, but for the overlap that
+the misfit is granted (LEFT_MM). Derivatives, with ν the master's normal at y, a_α the slave's tangents and a^α their duals:
 
     δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
@@ -58,6 +58,7 @@ from gelsim.geometry import split_faces
 
 Array = NDArray[np.float64]
 
+LEFT_MM = 3e-3  # overlap that the penalty bears where linear multipliers do not fit: with less, the membrane on a ball is further off
 LOOKED_MM = 1.0  # distance within which every search for the other surface looks at least
 # Corners of the four flat triangles of a six-node face (geometry.split_faces), in the face's (ξ1, ξ2).
 _SUB_CORNERS = np.array(
@@ -86,7 +87,7 @@ class ContactState:
     multipliers: Array
     """(V, 4), at the slave's face vertices."""
     kept: Array
-    """(P, 3)."""
+    """(P, 4)."""
     passed: Array
     """(P, 3)."""
     apart: Apart
@@ -193,13 +194,14 @@ class SurfaceContact:
         self.gap = wp.full(count, 1e9, dtype=wp.float64, device=device)
         self.pressure = wp.zeros(count, dtype=wp.float64, device=device)
         self.traction = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self._k = np.repeat(law.stiffness / np.sqrt(face_area), points)
         self._kt = np.repeat(law.stick_stiffness / np.sqrt(face_area), points)
         self.stick = array(self._kt[::points], wp.float64)
         self.shift = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.anchor_place = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.multiplier = wp.zeros(count, dtype=wp.float64, device=device)
-        self.stiffness = array(law.stiffness / np.sqrt(face_area), wp.float64)
+        self.stiffness = array(self._k[::points], wp.float64)
         self.vertices, local = np.unique(slave_faces[:, :3], return_inverse=True)
         self._corner = local.reshape(-1, 3)
         self._bary = bary
@@ -215,8 +217,8 @@ class SurfaceContact:
                 free = np.abs(rest[self.vertices, column]) > 1e-9
             self._projections.append((np.flatnonzero(free), splu(matrix[free][:, free])))
         self.multipliers = np.zeros((len(self.vertices), 4))
-        self.kept = np.zeros((count, 3))
-        """Traction on the slave [kPa] beyond the multipliers, of every point."""
+        self.kept = np.zeros((count, 4))
+        """Pressure, and traction on the slave [kPa], beyond the multipliers, of every point."""
         self.passed = np.zeros((count, 3))
         """What of every point's motion along the master since the step began was before they touched [mm]."""
         self._apart = NOWHERE
@@ -406,9 +408,9 @@ class SurfaceContact:
         self.augment()
         if self.frictional:
             traction = self.traction.numpy()
-            self.kept = traction - self._at_points(self.multipliers[:, 1:])
+            self.kept[:, 1:] = traction - self._at_points(self.multipliers[:, 1:])
             self.shift.assign(-traction)
-            self.passed, self._apart = np.zeros_like(self.kept), self._facing()
+            self.passed, self._apart = np.zeros_like(traction), self._facing()
         self.anchor_face.assign(self.face)
         self.anchor_place.assign(self.place)
 
@@ -419,21 +421,32 @@ class SurfaceContact:
         shares = self._master_shape(self.place.numpy()[points])
         return Apart(points, self.master_faces[face[points]], shares, self.normal.numpy()[points], gap[points])
 
+    def go_on_from(self, here: ContactState, before: ContactState | None = None, ratio: float = 0.0) -> None:
+        """Takes the multipliers, and what is kept beyond them, over from `here`; with `before`, gone on by `ratio` of the change since."""
+        multipliers, self.kept = here.multipliers, here.kept.copy()
+        if before is not None:
+            multipliers = multipliers + ratio * (multipliers - before.multipliers)
+            self.kept[:, 0] += ratio * (here.kept[:, 0] - before.kept[:, 0])
+        self.set_multipliers(multipliers)
+
     def set_multipliers(self, at_vertices: Array) -> None:
         """Sets λ and λ_t [kPa] at the slave's face vertices, (V, 4); negative pressure becomes 0."""
         self.multipliers = at_vertices.copy()
         self.multipliers[:, 0] = np.maximum(at_vertices[:, 0], 0.0)
         at_points = self._at_points(self.multipliers)
-        self.multiplier.assign(at_points[:, 0])
+        self.multiplier.assign(np.maximum(at_points[:, 0] + self.kept[:, 0], 0.0))
         if self.frictional:
-            self.shift.assign(-at_points[:, 1:] - self.kept - self._kt[:, None] * self.passed)
+            self.shift.assign(-at_points[:, 1:] - self.kept[:, 1:] - self._kt[:, None] * self.passed)
 
     def _at_points(self, at_vertices: Array) -> Array:
         """Linear functions over the slave's faces, (V, C), at the quadrature points, (P, C)."""
         return np.einsum("qa,fac->fqc", self._bary, at_vertices[self._corner]).reshape(-1, at_vertices.shape[1])
 
-    def augment(self) -> None:
-        """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the slave's faces."""
+    def augment(self, left: float = LEFT_MM) -> None:
+        """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the slave's faces.
+
+        Pressure that these miss is kept by its points, but for what an overlap of `left` [mm] bears; inf: none is.
+        """
         tractions = self.pressure.numpy()[:, None]
         if self.frictional:
             tractions = np.concatenate([tractions, self.traction.numpy()], axis=1)
@@ -443,6 +456,10 @@ class SurfaceContact:
         for c, (free, projection) in enumerate(self._projections[:count]):
             total = np.bincount(self._corner.ravel(), moment[..., c].ravel(), len(self.vertices))
             at_vertices[free, c] = projection.solve(total[free])
+        pressure = tractions[:, 0]
+        missed = pressure - self._at_points(np.maximum(at_vertices[:, :1], 0.0))[:, 0]
+        self.kept = self.kept.copy()  # states that were saved hold it
+        self.kept[:, 0] = np.where(pressure > 0.0, missed - np.clip(missed, -left * self._k, left * self._k), 0.0)
         self.set_multipliers(at_vertices)
 
     def projection(self, points: NDArray[np.integer]) -> tuple[sp.csr_matrix, SuperLU]:
@@ -481,7 +498,7 @@ class SurfaceContact:
         """No history, no multipliers, no pairs: as it was made."""
         self.anchor_face.fill_(-1)
         self.face.fill_(-1)
-        self.kept, self.passed, self._apart = np.zeros_like(self.kept), np.zeros_like(self.kept), NOWHERE
+        self.kept, self.passed, self._apart = np.zeros_like(self.kept), np.zeros_like(self.passed), NOWHERE
         self.set_multipliers(np.zeros_like(self.multipliers))
 
     def inherit(self, before: SurfaceContact, x: wp.array, reach: float) -> None:

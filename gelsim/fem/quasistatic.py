@@ -46,9 +46,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Record = Callable[[PressProblem], Recorder]
 
-MAX_AUGMENTATIONS = 4  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
+MAX_AUGMENTATIONS = 3  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
-OVERLAP_MM = 5e-3  # overlap above which another augmentation is tried
+OVERLAP_MM = 15e-3  # overlap above which another augmentation is tried; the steps that follow lessen it too
 CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no answer; sharp rims into `fast` meshes keep up to that
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
@@ -416,8 +416,8 @@ class _March:
                 contact.restore(pairs)
                 yield Request(reach, solve=False)
                 break
-            last, overlap = overlap, -float(contact.gap.numpy().min())
-            if overlap <= OVERLAP_MM or overlap > 0.7 * last:  # where a sharp edge cuts in, linear multipliers cannot do better
+            overlap = -float(contact.gap.numpy().min())
+            if overlap <= OVERLAP_MM:
                 break
         folds = report.min_jacobian < FOLDED * here.min_jacobian and new - here.time > FOLDED_STEP * self._spacing
         through = again and overlap > CUT_MM
@@ -456,7 +456,6 @@ class _March:
         """
         problem = self.problem
         displacement, pressure = here.fields[0].copy(), here.fields[1].copy()
-        multipliers = here.contact.multipliers
         driven = self._motion(problem.driven, new, approach)
         travel = float(np.linalg.norm(driven - displacement[problem.driven], axis=1).max())
         if extrapolated:
@@ -464,8 +463,9 @@ class _March:
             ratio = (new - here.time) / (here.time - self._previous.time)
             displacement += ratio * (here.fields[0] - self._previous.fields[0])
             pressure += ratio * (here.fields[1] - self._previous.fields[1])
-            problem.contact.set_multipliers(multipliers + ratio * (multipliers - self._previous.contact.multipliers))
+            problem.contact.go_on_from(here.contact, self._previous.contact, ratio)
         else:
+            problem.contact.go_on_from(here.contact)
             nodes = problem.object_nodes
             displacement[nodes] += self._motion(nodes, new, approach) - self._motion(nodes, here.time, here.approach)
         displacement[problem.driven] = driven

@@ -196,7 +196,7 @@ def converge(problem: PressProblem) -> None:
         if report.status is not SolveStatus.CONVERGED:
             raise SolveError(f"a state of the press could not be refined to be differentiated: {report.status.value}")
         before = contact.multipliers[:, 0].copy()
-        contact.augment()
+        contact.augment(left=np.inf)
         if np.abs(contact.multipliers[:, 0] - before).max() <= STANDSTILL * max(before.max(), 1e-12):
             problem.newton.solve(1.0, TOLERANCE)
             return

@@ -90,7 +90,7 @@ class EdgeContact(SurfaceContact):
             free = np.abs(rest[self.vertices, 0]) > 1e-9 if column == 0 else np.ones(len(self.vertices), bool)
             self._projections.append((np.flatnonzero(free), splu(matrix[free][:, free])))
         self.multipliers = np.zeros((len(self.vertices), 4))
-        self.kept, self.passed, self._apart = np.zeros((count, 3)), np.zeros((count, 3)), NOWHERE
+        self.kept, self.passed, self._apart = np.zeros((count, 4)), np.zeros((count, 3)), NOWHERE
         self._slots: tuple[PairPattern, tuple[Array, ...]] | None = None
 
     def _master_shape(self, xi: Array) -> Array:
