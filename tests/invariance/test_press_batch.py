@@ -15,11 +15,12 @@ import warp as wp
 from gelsim.errors import PressEnd, SolveStatus
 from gelsim.fem import solve_batch
 from gelsim.fem.batch import Costs, _Batch, run_batch
+from gelsim.fem.contact import LEFT_MM
 from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
-from gelsim.fem.quasistatic import OVERLAP_MM, Course, Request
+from gelsim.fem.quasistatic import Course, Request
 from gelsim.fem.strategy import GRIP, SOON, ways
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
@@ -28,8 +29,8 @@ from gelsim.scene.layers import build_scene
 from gelsim.scene.materials import press_materials
 
 # A press by itself is solved on factors of its own, in a batch on older ones: the multipliers take over from another rough solve, so that
-# the two end elsewhere, as a step may leave OVERLAP_MM either way. Found: 0.5 µm at a node and less.
-SAME_SURFACE = OVERLAP_MM * 1e-3
+# the two end elsewhere, as a step may leave LEFT_MM either way. Found: 0.5 µm at a node and less.
+SAME_SURFACE = LEFT_MM * 1e-3
 # All presses of a batch get new factors where the pattern that they share grows, by a neighbour's contact too, and rough steps on other
 # factors lead elsewhere within Newton's tolerance: up to 0.11 µm root mean square and 1.2 µm at a node where the five stand in the opposite
 # order. Where patterns grow alike nothing is moved by more than 1e-12 µm.
@@ -53,7 +54,7 @@ def alone(one: Scene) -> Deformation:
 
 
 def same_force(one: Deformation, other: Deformation) -> bool:
-    """Within what OVERLAP_MM of approach changes (found: up to half of it), and 1e-3 that Newton leaves unbalanced at `fast`, twice."""
+    """Within what LEFT_MM of approach changes, and 1e-3 that Newton leaves unbalanced at `fast`, twice."""
     stiffness = np.abs(np.diff(one.force, axis=0) / np.diff(one.approach)[:, None]).max()
     scale = np.abs(one.force).max()
     allowed = SAME_SURFACE * stiffness + 2e-3 * scale
