@@ -30,8 +30,12 @@ def batch(fake_data: Path) -> Batch:
 
 
 def with_output(
-    lengths: list[int], mean: torch.Tensor, spread: torch.Tensor | None, target: list[float],
-    bounds: Bounds = UNBOUND, rank: int = -1,
+    lengths: list[int],
+    mean: torch.Tensor,
+    spread: torch.Tensor | None,
+    target: list[float],
+    bounds: Bounds = UNBOUND,
+    rank: int = -1,
 ) -> tuple[Output, Batch]:
     count, steps = mean.shape
     nothing = torch.zeros((count, steps, 3, 1, 1))
