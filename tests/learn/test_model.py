@@ -273,7 +273,8 @@ def test_the_papers_network_runs_and_takes_its_weights(tmp_path: Path) -> None:
         torch.ones(1, 3),
         torch.tensor([3]),
         torch.tensor([30.0]),
-        torch.tensor([False]),
+        torch.tensor([UNBOUND]),
+        torch.tensor([-1]),
         GEL[None],
         torch.tensor([True]),
     )
