@@ -87,19 +87,21 @@ def gel_of(facts: Mapping[str, float | None] | None) -> Gel:
     return UNKNOWN_GEL if thickness is None or edge is None or shore is None else (thickness, edge, shore)
 
 
-def label_of(row: Mapping[str, Any]) -> tuple[float | None, Bounds, int]:
-    """What a dataset's row knows of a hardness: Shore 00, else bounds of it, else a class (`gelsim.data.episodes`)."""
+def label_of(row: Mapping[str, Any]) -> tuple[float, Bounds, int]:
+    """What a dataset's row knows of a hardness, as in a `Press`: Shore 00, else bounds of it, else a class (`gelsim.data.episodes`)."""
     if row["shore_00"] is not None:
         return float(row["shore_00"]), UNBOUND, -1
     if row["rigid"]:
-        return None, (HARDEST, np.inf), -1
+        return np.nan, (HARDEST, np.inf), -1
     low, high = row.get("shore_00_range") or (None, None)
     if (low, high) != (None, None):
-        return None, (-np.inf if low is None else low, np.inf if high is None else high), -1
-    return None, UNBOUND, row.get("hardness_class", -1)
+        return np.nan, (-np.inf if low is None else low, np.inf if high is None else high), -1
+    return np.nan, UNBOUND, row.get("hardness_class", -1)
 
 
-UNKNOWN_LABEL = (None, UNBOUND, -1)
+def _labelled(row: Mapping[str, Any]) -> bool:
+    target, bounds, rank = label_of(row)
+    return np.isfinite(target) or bounds != UNBOUND or rank >= 0
 
 
 def choose(recording: Recording, inputs: InputConfig, repeat: bool, end_share: float = 1.0) -> Press | None:
@@ -145,7 +147,7 @@ def sides(dataset: Dataset, seed: int) -> tuple[list[int], list[int]]:
     if not validation:
         rows = [dataset.rows[dataset.positions[index]] for index in train]
         train, validation = split_by_object(rows, VALIDATION_SHARE, seed) if rows else ([], [])
-    usable = {row["index"] for row in dataset.rows if label_of(row) != UNKNOWN_LABEL}
+    usable = {row["index"] for row in dataset.rows if _labelled(row)}
     train, validation = [index for index in train if index in usable], [index for index in validation if index in usable]
     if not train:
         raise DatasetError(f"{dataset.folder}: no press of known hardness to train on")
@@ -160,6 +162,6 @@ def held_presses(part: Archive, inputs: InputConfig, repeat: bool, seed: int) ->
         recording = with_noise(part.recording(number), [seed, 3, row["index"]], inputs)
         press = choose(to_scale(recording, row.get("field_mm"), inputs), inputs, repeat)
         target, bounds, rank = label_of(row)
-        known = {"target": np.nan if target is None else target, "bounds": bounds, "rank": rank, "gel": gel_of(row.get("gel"))}
+        known = {"target": target, "bounds": bounds, "rank": rank, "gel": gel_of(row.get("gel"))}
         found.append(None if press is None else replace(press, **known))
     return found

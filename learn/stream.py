@@ -74,11 +74,7 @@ class Stream:
             stack = randomise(self._pictures.take(members, chosen), looks, noises, config.augment, inputs.deadband_levels)
             told = _hidden(torch.tensor(gels), looks), torch.from_numpy(looks["scaled"].copy())
             targets, bounds, ranks = zip(*labels, strict=True)
-            known = (
-                torch.tensor([np.nan if target is None else target for target in targets], dtype=torch.float32),
-                torch.tensor(bounds, dtype=torch.float32),
-                torch.tensor(ranks),
-            )
+            known = torch.tensor(targets, dtype=torch.float32), torch.tensor(bounds, dtype=torch.float32), torch.tensor(ranks)
             return _batch(stack, torch.tensor(lengths), *known, *told, inputs.deadband_levels)
 
     def gels(self) -> list[Gel]:

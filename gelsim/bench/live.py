@@ -108,15 +108,14 @@ def compared(name: str, share: float) -> Row:
     radius = NEAR * float(np.sqrt(press.contact_area[state] / np.pi))
     x, y = np.meshgrid(sensor.x, sensor.y)
     near = np.hypot(x - middle[0], y - middle[1]) < radius
-    finite = Interpolation(now[:, :2])
-    height = finite.operator(np.column_stack([x[near], y[near]])) @ finite.with_gradients(now[:, 2:])
+    height = heights_over(press, state, np.column_stack([x[near], y[near]]))
     rest = np.hypot(*(press.gel.rest[:, :2] - middle).T) < radius
     sideways = (moved[state] - motion)[rest, :2]
     row: Row = {
         "status": SolveStatus.CONVERGED.name,
         "share": share,
         "force_n": float(-solved[2]),
-        "height_um": _rms(frame.height[near] - height[:, 0]) * 1e6,
+        "height_um": _rms(frame.height[near] - height) * 1e6,
         "force_percent": float(100 * (frame.force[2] / solved[2] - 1)),
         "marker_um": _rms(np.linalg.norm(sideways, axis=1)) * 1e6,
         "motion_um": float(np.linalg.norm(motion[rest, :2], axis=1).max()) * 1e6,
@@ -124,6 +123,13 @@ def compared(name: str, share: float) -> Row:
     if np.linalg.norm(solved[:2]) > 0.02 * abs(solved[2]):
         row["shear_percent"] = float(100 * np.linalg.norm(frame.force[:2] - solved[:2]) / np.linalg.norm(solved[:2]))
     return {key: float(f"{value:.3g}") if isinstance(value, float) else value for key, value in row.items()}
+
+
+def heights_over(press: Deformation, state: int, places: Array) -> Array:
+    """z of a press's membrane over places in space (M, 2) [m], (M,)."""
+    now = press.gel.rest + press.gel.displacement[state]
+    surface = Interpolation(now[:, :2])
+    return (surface.operator(places) @ surface.with_gradients(now[:, 2:]))[:, 0]
 
 
 def _rms(values: NDArray) -> float:

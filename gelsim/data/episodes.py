@@ -43,6 +43,7 @@ MOST_FRAMES, MOST_PIXELS, MOST_MARKERS = 2000, 2**24, 20000
 MOST_ROWS = 5_000_000
 MOST_CLASSES = 20
 SHORE_00 = (0, 100)
+"""Of a durometer's scale, inclusive."""
 DOMAINS = ("sim", "real")
 MOTIONS = ("human", "robot")
 _ROW: dict[str, tuple[type, ...]] = {

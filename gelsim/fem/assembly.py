@@ -102,6 +102,31 @@ def scatter_block(entries: wp.array2d(dtype=wp.int32), values: wp.array(dtype=wp
             scatter(values, entries[t, at + 3 * i + j], block[i, j])
 
 
+@wp.func
+def scatter_pressures(entries: wp.array2d(dtype=wp.int32), values: wp.array(dtype=wp.float64), t: wp.int32, at: wp.int32, points: wp.int32,
+                      rows: Any, volumes: Any, weights: wp.array2d(dtype=wp.float64), shape: wp.array2d(dtype=wp.float64),
+                      kappa: wp.float64):  # fmt: skip
+    """Adds what a tet's pressures share with displacements and each other, its numbers from `at` on.
+
+    Of each point, `rows` has F⁻ᵀ G of the nodes, `volumes` w J.
+    """
+    for a in range(4):
+        for b in range(10):
+            coupling = wp.vec3d()  # of p_a with u_b
+            for q in range(points):
+                ab = wp.vec3d(rows[q * 10 + b, 0], rows[q * 10 + b, 1], rows[q * 10 + b, 2])
+                coupling += (volumes[q] * shape[q, a]) * ab
+            for i in range(3):
+                scatter(values, entries[t, at + i], coupling[i])
+            at += 3
+        for b in range(a, 4):
+            pp = wp.float64(0.0)
+            for q in range(points):
+                pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa
+            scatter(values, entries[t, at], pp)
+            at += 1
+
+
 def element_kernels(points: int, family: str):
     """The residual and the tangent kernel for a rule of so many points and a family of laws, "cubic" or "ogden" (hyperelastic.py)."""
     return {"cubic": _cubic_kernels, "ogden": _ogden_kernels}[family](points)
@@ -110,7 +135,8 @@ def element_kernels(points: int, family: str):
 @lru_cache(maxsize=4)
 def _cubic_kernels(points: int):
     rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
-    per_point = wp.types.matrix(shape=(points, 3), dtype=wp.float64)
+    per_point = wp.types.matrix(shape=(points, 2), dtype=wp.float64)
+    number = wp.types.vector(length=points, dtype=wp.float64)
     Q = wp.constant(points)
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
@@ -166,8 +192,9 @@ def _cubic_kernels(points: int):
         ag = rows()
         rg = rows()
         sg = rows()
-        # per point, weights of (G_a·G_b) 1, of α_b ⊗ α_a, and of α with a pressure
+        # per point, weights of (G_a·G_b) 1 and of α_b ⊗ α_a
         scalars = per_point()
+        volumes = number()
         third = wp.float64(1.0) / wp.float64(3.0)
         for q in range(Q):
             h = wp.mat33d()
@@ -190,7 +217,7 @@ def _cubic_kernels(points: int):
             outer = two * i1 + pj + w * held[t] * j * j
             scalars[q, 0] = slope
             scalars[q, 1] = slope * i1 - pj
-            scalars[q, 2] = w * j
+            volumes[q] = w * j
             for a in range(10):
                 fa = f * gradients[t, q, a]
                 aa = inverse_transpose * gradients[t, q, a]
@@ -216,21 +243,7 @@ def _cubic_kernels(points: int):
                     block += wp.outer(fa, rb) + wp.outer(aa, sb) + wp.outer(scalars[q, 1] * ab, aa) + wp.diag(wp.vec3d(d, d, d))
                 scatter_block(entries, values, t, at, block)
                 at += 9
-        for a in range(4):
-            for b in range(10):
-                coupling = wp.vec3d()  # of p_a with u_b
-                for q in range(Q):
-                    ab = wp.vec3d(ag[q * 10 + b, 0], ag[q * 10 + b, 1], ag[q * 10 + b, 2])
-                    coupling += (scalars[q, 2] * shape[q, a]) * ab
-                for i in range(3):
-                    scatter(values, entries[t, at + i], coupling[i])
-                at += 3
-            for b in range(a, 4):
-                pp = wp.float64(0.0)
-                for q in range(Q):
-                    pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
-                scatter(values, entries[t, at], pp)
-                at += 1
+        scatter_pressures(entries, values, t, at, Q, ag, volumes, weights, shape, kappa[t])
 
     return residual, tangent
 
@@ -239,7 +252,8 @@ def _cubic_kernels(points: int):
 def _ogden_kernels(points: int):
     rows = wp.types.matrix(shape=(10 * points, 3), dtype=wp.float64)
     axes = wp.types.matrix(shape=(points, 9), dtype=wp.float64)
-    per_point = wp.types.matrix(shape=(points, 13), dtype=wp.float64)
+    per_point = wp.types.matrix(shape=(points, 12), dtype=wp.float64)
+    number = wp.types.vector(length=points, dtype=wp.float64)
     Q = wp.constant(points)
 
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1})
@@ -295,9 +309,10 @@ def _ogden_kernels(points: int):
         spatial = axes()
         gn = rows()
         ag = rows()
-        # 0-2: W_AA; 3-5: W_AB, 6-8: P_AB, 9-11: Q_AB of the pairs 01, 02, 12; 12: weight. W and Q with p J of the volume, which in
+        # 0-2: W_AA; 3-5: W_AB, 6-8: P_AB, 9-11: Q_AB of the pairs 01, 02, 12. W and Q with p J of the volume, which in
         # principal axes is ± p J/(λ_A λ_B) and no more.
         scalars = per_point()
+        volumes = number()
         for q in range(Q):
             h = wp.mat33d()
             for a in range(10):
@@ -327,7 +342,7 @@ def _ogden_kernels(points: int):
                 scalars[q, 3 + k] = w * (slope[m, n] + p * j + jj) / product
                 scalars[q, 6 + k] = w * half * (s + total)
                 scalars[q, 9 + k] = w * (half * (s - total) - p * j / product)
-            scalars[q, 12] = w * j
+            volumes[q] = w * j
             for c in range(3):
                 axis = f * wp.vec3d(v[0, c], v[1, c], v[2, c]) / stretch[c]
                 for i in range(3):
@@ -368,21 +383,7 @@ def _ogden_kernels(points: int):
                     block += turn * local * wp.transpose(turn)
                 scatter_block(entries, values, t, at, block)
                 at += 9
-        for a in range(4):
-            for b in range(10):
-                coupling = wp.vec3d()  # of p_a with u_b
-                for q in range(Q):
-                    ab = wp.vec3d(ag[q * 10 + b, 0], ag[q * 10 + b, 1], ag[q * 10 + b, 2])
-                    coupling += (scalars[q, 12] * shape[q, a]) * ab
-                for i in range(3):
-                    scatter(values, entries[t, at + i], coupling[i])
-                at += 3
-            for b in range(a, 4):
-                pp = wp.float64(0.0)
-                for q in range(Q):
-                    pp -= weights[t, q] * shape[q, a] * shape[q, b] / kappa[t]
-                scatter(values, entries[t, at], pp)
-                at += 1
+        scatter_pressures(entries, values, t, at, Q, ag, volumes, weights, shape, kappa[t])
 
     return ogden_residual, ogden_tangent
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.data.episodes import MOST_CLASSES, episode_file, gel_facts, survey, write_episode, write_meta
+from gelsim.data.episodes import MOST_CLASSES, SHORE_00, episode_file, gel_facts, survey, write_episode, write_meta
 from gelsim.data.video import MOST_FRAMES, MOST_PIXELS, VIDEOS, video_frames
 from gelsim.errors import MaterialError, SceneError
 from gelsim.generate.plan import SPLITS
@@ -182,8 +182,8 @@ def _hardness(told: dict[str, float]) -> dict[str, Any]:
     if len(told) - len(bounds) + bool(bounds) > 1:
         raise ValueError(f"{', '.join(sorted(told))}: give one of them (shore_00_low and shore_00_high are one)")
     for name, value in told.items():
-        if name.startswith("shore_00") and not 0 <= value <= 100:
-            raise ValueError(f"{name} = {value:g}: allowed is 0 … 100")
+        if name.startswith("shore_00") and not SHORE_00[0] <= value <= SHORE_00[1]:
+            raise ValueError(f"{name} = {value:g}: allowed is {SHORE_00[0]} … {SHORE_00[1]}")
     if bounds:
         low, high = bounds.get("low"), bounds.get("high")
         if low is not None and high is not None and low >= high:

@@ -100,7 +100,7 @@ def press_many(
     if batch_device(device) != "cpu":
         return stages.press_batch(scenes, device=device, progress=progress)
     found: dict[int, Deformation] = {}
-    for number, press in _spread(range(len(scenes)), workers, partial(_press_one, scenes), WorkError):
+    for number, press in _spread(range(len(scenes)), workers, partial(_press_one, scenes)):
         if isinstance(press, GelsimError):
             raise press
         found[number] = press
@@ -155,7 +155,7 @@ def run_many(
     left = [number for number in range(len(poses)) if number not in rows]
     ahead = 1 if drawn else 0  # here, alone: it measures the sensor's light, which the others find
     for some, several in ((left[:ahead], 1), (left[ahead:], workers)):
-        for number, report in _spread(some, several, partial(_run_one, poses, out, run), WorkError):
+        for number, report in _spread(some, several, partial(_run_one, poses, out, run)):
             add(number, report)
     seconds, made = time.perf_counter() - start, len(left) - len(failed)
     return {
@@ -171,34 +171,35 @@ def run_many(
 T = TypeVar("T")
 
 
-def _spread(numbers: Sequence[int], workers: int, work: Callable[[int], T], lost: Callable[[str], T]) -> Iterator[tuple[int, T]]:
-    """Does numbered pieces, in this process or in several; yields each as it is done, with its number: as `lost` if its workers died."""
-    if min(workers, len(numbers)) < 2:
-        yield from ((number, work(number)) for number in numbers)
+def _spread(numbers: Sequence[int], workers: int, work: Callable[[int], T]) -> Iterator[tuple[int, T | GelsimError]]:
+    """Does numbered pieces, in this process or in several; yields each as it is done, with its number, or what was wrong with it."""
+    pieces = [(number,) for number in numbers]
+    if min(workers, len(pieces)) < 2:
+        yield from map(_make_worker(work), pieces)
         return
 
-    def told(handful: Handful, status: str, message: str) -> tuple[int, T]:
-        return handful[0], lost(f"{status}: {message}")
+    def lost(handful: Handful, status: str, message: str) -> tuple[int, T | GelsimError]:
+        return handful[0], WorkError(f"{status}: {message}")
 
-    yield from work_through([(number,) for number in numbers], LocalCrew(workers), _make_worker, (work,), told)
-
-
-def _make_worker(work: Callable[[int], T]) -> Callable[[Handful], tuple[int, T]]:
-    return lambda handful: (handful[0], work(handful[0]))
+    yield from work_through(pieces, LocalCrew(workers), _make_worker, (work,), lost)
 
 
-def _press_one(scenes: Sequence[Scene], number: int) -> Deformation | GelsimError:
-    try:
-        return stages.press(scenes[number], device="cpu", throw=False)
-    except GelsimError as error:
-        return error
+def _make_worker(work: Callable[[int], T]) -> Callable[[Handful], tuple[int, T | GelsimError]]:
+    def one(handful: Handful) -> tuple[int, T | GelsimError]:
+        try:
+            return handful[0], work(handful[0])
+        except GelsimError as error:
+            return handful[0], error
+
+    return one
 
 
-def _run_one(poses: Sequence[Pose], out: Path, run: Callable[[Scene, Path], dict[str, Any]], number: int) -> dict[str, Any] | GelsimError:
-    try:
-        return run(poses[number].scene, out / poses[number].name)
-    except GelsimError as error:
-        return error
+def _press_one(scenes: Sequence[Scene], number: int) -> Deformation:
+    return stages.press(scenes[number], device="cpu", throw=False)
+
+
+def _run_one(poses: Sequence[Pose], out: Path, run: Callable[[Scene, Path], dict[str, Any]], number: int) -> dict[str, Any]:
+    return run(poses[number].scene, out / poses[number].name)
 
 
 def _earlier(pose: Pose, out: Path, drawn: bool) -> dict[str, Any] | None:
