@@ -33,6 +33,7 @@ from gelsim import optics
 from gelsim.data.episodes import field_seen
 from gelsim.errors import GelsimError, SceneError
 from gelsim.live.sensor import LiveFrame, LiveSensor
+from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import moved_membrane
 from gelsim.pipeline import outputs
 from gelsim.scene.definition import Body, Press, Scene
@@ -48,8 +49,10 @@ Progress = Callable[[str, int, int], None]
 
 HOST = "127.0.0.1"
 PORT = 8080
-START_MM = 1.0
-"""Of the object's apex over the gel, at first and when it is lifted."""
+ABOVE = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+"""Pose of the object at first and when it is lifted: mm, and a quaternion w, x, y, z."""
+STEP_S = 1 / 30
+"""Which the elastic gel does not look at."""
 REST_S = 0.3
 """Without motion after which a picture is traced."""
 IDLE_S = 0.01
@@ -60,9 +63,11 @@ ARROWS = 5
 """Marker arrows are drawn so many times as long as the markers moved."""
 LEAST_SPAN = 0.05
 """Of the height's colours [mm]: what is less looks flat."""
+RATE_OF = 30
+"""Steps whose rate is told."""
 CURVE = 300
 """Steps that the force's curve shows."""
-GEL, WINDOW, OBJECT = (190, 194, 200), (150, 190, 210), (214, 128, 74)
+GEL, WINDOW, OBJECT = (120, 124, 132), (150, 190, 210), (214, 128, 74)
 
 
 class LivePage:
@@ -121,18 +126,15 @@ class LivePage:
         """Looks once at what the controls say, and shows what changed; returns whether anything did."""
         if self._camera and (seen := self._camera.latest()) is not None:
             self._real.image = seen
-        asked = (self._sensors.value, self._shapes.value, self._sizes.value)
-        if asked != self._asked:
-            self._change(*asked)
-            return True
-        pose = np.array([*self.handle.position, *self.handle.wxyz])
-        if not np.array_equal(pose, self._pose):
-            self._move(pose)
-            return True
-        if self._lights.value != self._light and time.monotonic() - self._moved > REST_S:
+        if self._choices != self._asked:
+            self._change(*self._choices)
+        elif not np.array_equal(self._placed, self._pose):
+            self._move(self._placed)
+        elif self._lights.value != self._light and time.monotonic() - self._moved > REST_S:
             self._trace(self._lights.value)
-            return True
-        return False
+        else:
+            return False
+        return True
 
     # ---- what happens ----
 
@@ -152,20 +154,35 @@ class LivePage:
         self._server.scene.add_box(
             "/window", WINDOW, (*gel.size_mm, 1.0), opacity=0.5, position=(0, 0, -gel.thickness_mm - 0.5), cast_shadow=False
         )
+        self._dots = self._server.scene.add_point_cloud(
+            "/markers", self._markers(), (30, 30, 30), point_size=0.35, point_shape="circle", precision="float32"
+        )
         surface = shapes.object_surface(self.scene.object, edge_length=math.inf)
         self._server.scene.add_mesh_simple(
-            "/object/shape", surface.vertices * MM_PER_M, surface.faces, color=OBJECT, opacity=0.65, flat_shading=True, side="double"
+            "/object/shape", surface.vertices * MM_PER_M, surface.faces, color=OBJECT, opacity=0.5, flat_shading=True, side="double"
         )
-        self._start, self._curve = time.monotonic(), deque(maxlen=CURVE)
-        self._rest: tuple[Array, Array] | None = None
+        still = sensor.step([*ABOVE[:3] * MM, *ABOVE[3:]], STEP_S)
+        self._rest = still.height, still.marker_pixels
+        self._gel = self._server.scene.add_mesh_simple("/gel", self._points(still.height), _faces(*self._x.shape), color=GEL)
+        self._start, self._curve, self._took = time.monotonic(), deque(maxlen=CURVE), deque(maxlen=RATE_OF)
         if self.recording:
             self.recording.begin(self.scene)
-        self._asked = (self._sensors.value, self._shapes.value, self._sizes.value)
+        self._asked = self._choices
         self._lift()
-        self._move(np.array([*self.handle.position, *self.handle.wxyz]))
+        self._move(self._placed)
 
     def _lift(self) -> None:
-        self.handle.position, self.handle.wxyz = (0.0, 0.0, START_MM), (1.0, 0.0, 0.0, 0.0)
+        self.handle.position, self.handle.wxyz = ABOVE[:3], ABOVE[3:]
+
+    @property
+    def _choices(self) -> tuple[str, str, float]:
+        """Sensor, shape and size that the controls name."""
+        return self._sensors.value, self._shapes.value, self._sizes.value
+
+    @property
+    def _placed(self) -> Array:
+        """Where the object hangs: mm, and a quaternion w, x, y, z."""
+        return np.array([*self.handle.position, *self.handle.wxyz])
 
     def _change(self, sensor: str, shape: str, size: float) -> None:
         """Another sensor or object; where there is none such, the page says why and stays as it was."""
@@ -195,9 +212,8 @@ class LivePage:
         """Object to a pose, mm and quaternion; one that the sensor refuses is said and leaves no trace."""
         begin = time.perf_counter()
         self._pose, self._moved = pose, time.monotonic()
-        place = pose[:3] * MM
         try:
-            frame = self.sensor.step([*place, *pose[3:]], 1 / 30)
+            frame = self.sensor.step([*pose[:3] * MM, *pose[3:]], STEP_S)
         except GelsimError as error:
             self._say(str(error))
             return
@@ -205,8 +221,8 @@ class LivePage:
         if self.recording:
             self.recording.add(self._moved, pose, frame)
         self._show()
-        took = time.perf_counter() - begin
-        self._say(f"{1 / took:.0f} frames a second")
+        self._took.append(time.perf_counter() - begin)
+        self._say(f"{len(self._took) / sum(self._took):.0f} frames a second")
 
     def _trace(self, mode: str) -> None:
         """The picture at this pose by another light."""
@@ -229,15 +245,20 @@ class LivePage:
         server.gui.configure_theme(control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False)
         server.gui.set_panel_label("gelsim live")
         server.scene.set_up_direction("+z")
-        server.initial_camera.position, server.initial_camera.look_at = (14.0, -30.0, 20.0), (0.0, 0.0, 0.0)
+        server.initial_camera.position, server.initial_camera.look_at = (13.0, -38.0, 19.0), (0.0, 0.0, 1.0)
         server.initial_camera.fov = math.radians(45)
+        server.scene.configure_default_lights(False)
+        server.scene.add_light_ambient("/light/all", intensity=1.2)
+        server.scene.add_light_directional("/light/low", position=(-30.0, -10.0, 12.0), intensity=2.5)  # so low that a dent shows
         gui = server.gui
         self._force = gui.add_markdown("")
         self._plot = gui.add_uplot(
             (np.zeros(1), np.zeros(1), np.zeros(1)),
-            (uplot.Series(label="s"), uplot.Series(label="normal [N]", stroke="#1f6fb4"), uplot.Series(label="along [N]", stroke="#d6804a")),
+            (uplot.Series(), uplot.Series(stroke="#1f6fb4"), uplot.Series(stroke="#d6804a")),
+            title="force [N]: normal blue, along the gel orange",
             height=170,
             scales={"x": uplot.Scale(time=False)},
+            legend=uplot.Legend(show=False),
         )
         presets = list(dict.fromkeys([given.sensor.preset, *preset_names()]))
         names = list(dict.fromkeys([given.object.shape, *(name for name in SHAPES if name != "mesh")]))
@@ -258,7 +279,7 @@ class LivePage:
                 self._real = gui.add_image(blank, label="camera", format="jpeg", jpeg_quality=90)
         panel.dock_left()
         panel.set_width(440)
-        self.handle = server.scene.add_transform_controls("/object", 9.0, depth_test=False, position=(0.0, 0.0, START_MM))
+        self.handle = server.scene.add_transform_controls("/object", 9.0, depth_test=False)
         """What the object hangs on, in mm."""
 
     def _show(self) -> None:
@@ -266,14 +287,10 @@ class LivePage:
         time_s = time.monotonic() - self._start
         normal, along = 0.0 - float(frame.force[2]), float(np.hypot(*frame.force[:2]))
         self._curve.append((time_s, normal, along))
-        z = np.pad(frame.height * MM_PER_M, 1, constant_values=-self.scene.gel.thickness_mm)
-        points = np.stack([self._x, self._y, z], axis=-1).reshape(-1, 3).astype(np.float32)
         area = frame.contact.sum() * np.prod([along[1] - along[0] for along in (self.sensor.x, self.sensor.y)]) * MM_PER_M**2
         with server.atomic():
-            if not hasattr(self, "_gel") or len(self._gel.vertices) != len(points):
-                self._gel = server.scene.add_mesh_simple("/gel", points, _faces(*z.shape), color=GEL)
-            else:
-                self._gel.vertices = points
+            self._gel.vertices = self._points(frame.height)
+            self._dots.points = self._markers()
             self._show_picture(frame.image)
             self._show_map()
             self._force.content = (
@@ -282,6 +299,17 @@ class LivePage:
             )
             self._plot.data = tuple(np.array(self._curve, np.float64).T.copy())
 
+    def _points(self, height: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Corners of the gel's face and of its sides' lower ends [mm], (M, 3)."""
+        z = np.pad(height * MM_PER_M, 1, constant_values=-self.scene.gel.thickness_mm)
+        return np.stack([self._x, self._y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+
+    def _markers(self) -> NDArray[np.float32]:
+        """Where the markers' centres are [mm], (K, 3), a little above the gel."""
+        rest = marker_layout(self.scene).centres
+        points = np.column_stack([rest, shapes.gel_height(self.scene.gel, rest)]) + self.sensor.displaced(rest)
+        return (points * MM_PER_M + (0.0, 0.0, 0.05)).astype(np.float32)
+
     def _show_picture(self, picture: Picture | None) -> None:
         assert picture is not None
         self._image.image, self._image.label = picture, f"picture, light {self._light}"
@@ -289,8 +317,6 @@ class LivePage:
     def _show_map(self) -> None:
         """Height over the gel at rest in the picture's field, and marker arrows on it."""
         frame = self.frame
-        if self._rest is None:
-            self._rest = (frame.height.astype(float), frame.marker_pixels)
         rest, markers = self._rest
         raised = (frame.height - rest)[self._shown] * MM_PER_M
         low, high = float(raised.min()), float(raised.max())
@@ -303,7 +329,7 @@ class LivePage:
                 pen.line([*start, *(start + ARROWS * moved)], fill="white", width=2)
                 pen.ellipse([*(start - 1.5), *(start + 1.5)], fill="white")
         self._map.image = np.asarray(picture)
-        self._map.label = f"height over rest, {low:.2f} to {high:.2f} mm; marker motion, {ARROWS} times" 
+        self._map.label = f"height over rest, {low:.2f} to {high:.2f} mm; marker motion, {ARROWS} times"
 
     def _places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Columns and rows of the sensor's grid under the picture's field."""
@@ -416,7 +442,7 @@ class _Camera:
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
-        for picture in self._reader:
+        for picture in self._reader.iter_data():
             self._fresh.append(np.asarray(picture))
 
     def latest(self) -> Picture | None:
