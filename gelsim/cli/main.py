@@ -422,7 +422,11 @@ def _draws_on_gpu(device: str) -> bool:
 
 
 def _live(options: argparse.Namespace) -> dict[str, Any]:
-    layers = [read_layer(options.scene) if options.scene else {"object": {"shape": "hemisphere", "radius_mm": 4.0, "rigid": True}}]
+    layers = [
+        read_layer(options.scene)
+        if options.scene
+        else {"object": {"shape": "hemisphere", "radius_mm": 4.0, "height_mm": 10.0, "rigid": True}}
+    ]
     scene = build_scene(*layers, layer_of(options))
     try:
         from gelsim.views.live_page import LivePage

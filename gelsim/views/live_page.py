@@ -33,7 +33,6 @@ from gelsim import optics
 from gelsim.data.episodes import field_seen
 from gelsim.errors import GelsimError, SceneError
 from gelsim.live.sensor import LiveFrame, LiveSensor
-from gelsim.membrane.markers import marker_layout
 from gelsim.membrane.surface import moved_membrane
 from gelsim.pipeline import outputs
 from gelsim.scene.definition import Body, Press, Scene
@@ -154,9 +153,6 @@ class LivePage:
         self._server.scene.add_box(
             "/window", WINDOW, (*gel.size_mm, 1.0), opacity=0.5, position=(0, 0, -gel.thickness_mm - 0.5), cast_shadow=False
         )
-        self._dots = self._server.scene.add_point_cloud(
-            "/markers", self._markers(), (30, 30, 30), point_size=0.35, point_shape="circle", precision="float32"
-        )
         surface = shapes.object_surface(self.scene.object, edge_length=math.inf)
         self._server.scene.add_mesh_simple(
             "/object/shape", surface.vertices * MM_PER_M, surface.faces, color=OBJECT, opacity=0.5, flat_shading=True, side="double"
@@ -186,13 +182,14 @@ class LivePage:
 
     def _change(self, sensor: str, shape: str, size: float) -> None:
         """Another sensor or object; where there is none such, the page says why and stays as it was."""
+        given = self._given
+        body = given.object if shape == given.object.shape else Body(shape=shape, rigid=True)
         if shape != self._asked[1]:
-            size = _size(self._body(shape))
+            size = _size(body)
         try:
-            body = self._body(shape)
-            body = replace(body, **{name: size for name in _size_fields(shape)})
-            scene = self._given if sensor == self._given.sensor.preset else build_scene({"sensor": {"preset": sensor}})
-            scene = self.scene.replace(object=body, **{name: getattr(scene, name) for name in ("sensor", *PRESET_SECTIONS)})
+            of_sensor = given if sensor == given.sensor.preset else build_scene({"sensor": {"preset": sensor}})
+            parts = {name: getattr(of_sensor, name) for name in ("sensor", *PRESET_SECTIONS)}
+            scene = self.scene.replace(object=_sized(body, size), **parts)
             self._say(f"Making {sensor} ready; a light that was not measured before takes a minute or two …")
             self.sensor = self._made(scene)
         except GelsimError as error:
@@ -200,13 +197,8 @@ class LivePage:
             self._say(str(error))
             return
         self.scene = scene
-        self._sizes.value, self._sizes.visible = size, bool(_size_fields(shape))
+        self._sizes.value, self._sizes.visible = size, shape != "mesh"
         self._begin()
-
-    def _body(self, shape: str) -> Body:
-        """A shape as the scene has it, or as it is by default."""
-        given = self._given.object
-        return given if shape == given.shape else Body(shape=shape, rigid=True, height_mm=given.height_mm)
 
     def _move(self, pose: Array) -> None:
         """Object to a pose, mm and quaternion; one that the sensor refuses is said and leaves no trace."""
@@ -245,11 +237,11 @@ class LivePage:
         server.gui.configure_theme(control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False)
         server.gui.set_panel_label("gelsim live")
         server.scene.set_up_direction("+z")
-        server.initial_camera.position, server.initial_camera.look_at = (13.0, -38.0, 19.0), (0.0, 0.0, 1.0)
+        server.initial_camera.position, server.initial_camera.look_at = (15.0, -44.0, 24.0), (0.0, 0.0, 4.0)
         server.initial_camera.fov = math.radians(45)
         server.scene.configure_default_lights(False)
-        server.scene.add_light_ambient("/light/all", intensity=1.2)
-        server.scene.add_light_directional("/light/low", position=(-30.0, -10.0, 12.0), intensity=2.5)  # so low that a dent shows
+        server.scene.add_light_ambient("/light/all", intensity=0.8)
+        server.scene.add_light_directional("/light/low", position=(-30.0, -10.0, 12.0), intensity=3.0)  # so low that a dent shows
         gui = server.gui
         self._force = gui.add_markdown("")
         self._plot = gui.add_uplot(
@@ -265,8 +257,8 @@ class LivePage:
         self._sensors = gui.add_dropdown("sensor", presets)
         self._shapes = gui.add_dropdown("shape", names)
         size = _size(given.object)
-        self._sizes = gui.add_slider("size [mm]", min(SIZES_MM[0], size), max(SIZES_MM[1], size), 0.25, size)
-        self._sizes.visible = bool(_size_fields(given.object.shape))
+        self._sizes = gui.add_slider("size [mm]", min(SIZES_MM[0], size), max(SIZES_MM[1], size), 0.25, size, hint="radius, or width")
+        self._sizes.visible = given.object.shape != "mesh"
         self._lights = gui.add_dropdown("light", ["baked", "direct", "path"], hint="direct and path: traced when the object rests")
         gui.add_button("Lift the object").on_click(lambda _: self._lift())
         self._told = gui.add_markdown("")
@@ -290,12 +282,11 @@ class LivePage:
         area = frame.contact.sum() * np.prod([along[1] - along[0] for along in (self.sensor.x, self.sensor.y)]) * MM_PER_M**2
         with server.atomic():
             self._gel.vertices = self._points(frame.height)
-            self._dots.points = self._markers()
             self._show_picture(frame.image)
             self._show_map()
             self._force.content = (
-                f"## {normal:.2f} N\n**along the gel** {along:.2f} N  \n"
-                f"**torque** {', '.join(f'{value * 1e3:.1f}' for value in frame.torque)} N mm  \n**contact** {area:.1f} mm²"
+                f"## {normal:.2f} N normal force\n**along the gel** {along:.2f} N  \n"
+                f"**torque** {', '.join(f'{value * 1e3:z.1f}' for value in frame.torque)} N mm  \n**contact** {area:.1f} mm²"
             )
             self._plot.data = tuple(np.array(self._curve, np.float64).T.copy())
 
@@ -303,12 +294,6 @@ class LivePage:
         """Corners of the gel's face and of its sides' lower ends [mm], (M, 3)."""
         z = np.pad(height * MM_PER_M, 1, constant_values=-self.scene.gel.thickness_mm)
         return np.stack([self._x, self._y, z], axis=-1).reshape(-1, 3).astype(np.float32)
-
-    def _markers(self) -> NDArray[np.float32]:
-        """Where the markers' centres are [mm], (K, 3), a little above the gel."""
-        rest = marker_layout(self.scene).centres
-        points = np.column_stack([rest, shapes.gel_height(self.scene.gel, rest)]) + self.sensor.displaced(rest)
-        return (points * MM_PER_M + (0.0, 0.0, 0.05)).astype(np.float32)
 
     def _show_picture(self, picture: Picture | None) -> None:
         assert picture is not None
@@ -320,7 +305,8 @@ class LivePage:
         rest, markers = self._rest
         raised = (frame.height - rest)[self._shown] * MM_PER_M
         low, high = float(raised.min()), float(raised.max())
-        share = np.clip((raised - low) / max(high - low, LEAST_SPAN), 0, 1)
+        floor = min(low, high - LEAST_SPAN)
+        share = (raised - floor) / (high - floor)
         size = self.scene.render.resolution
         picture = Image.fromarray(_COLOURS[np.rint(255 * share).astype(np.uint8)]).resize(size, Image.Resampling.BILINEAR)
         pen = ImageDraw.Draw(picture)
@@ -344,9 +330,13 @@ class LivePage:
         self._server.flush()
 
 
-def _size_fields(shape: str) -> tuple[str, ...]:
-    """The object's fields that the slider sets."""
-    return () if shape == "mesh" else ("radius_mm",) if SHAPES[shape].has_radius else ("width_mm",)
+def _sized(body: Body, size: float) -> Body:
+    """The object with the slider's size [mm]: its radius, or its width where it has none; a file has the size that it has."""
+    if body.shape == "mesh":
+        return body
+    if SHAPES[body.shape].has_radius:
+        return replace(body, radius_mm=size, height_mm=max(body.height_mm, 2 * size))
+    return replace(body, width_mm=size)
 
 
 def _size(body: Body) -> float:
