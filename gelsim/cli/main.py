@@ -422,12 +422,10 @@ def _draws_on_gpu(device: str) -> bool:
 
 
 def _live(options: argparse.Namespace) -> dict[str, Any]:
-    layers = [
-        read_layer(options.scene)
-        if options.scene
-        else {"object": {"shape": "hemisphere", "radius_mm": 4.0, "height_mm": 10.0, "rigid": True}}
-    ]
-    scene = build_scene(*layers, layer_of(options))
+    if options.scene is None and getattr(options, "object.rigid") is None:
+        setattr(options, "object.rigid", "true")  # as if it had been typed: a hardness beside it is an error
+    ball = {"object": {"shape": "hemisphere", "radius_mm": 4.0, "height_mm": 10.0}}
+    scene = build_scene(read_layer(options.scene) if options.scene else ball, layer_of(options))
     try:
         from gelsim.views.live_page import LivePage
     except ModuleNotFoundError as error:

@@ -234,7 +234,9 @@ class LivePage:
     def _lay_out(self) -> None:
         """Controls to the right, what the sensor sees to the left, between them gel and object."""
         server, given = self._server, self._given
-        server.gui.configure_theme(control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(320)
         server.gui.set_panel_label("gelsim live")
         server.scene.set_up_direction("+z")
         server.initial_camera.position, server.initial_camera.look_at = (15.0, -44.0, 24.0), (0.0, 0.0, 4.0)
@@ -427,7 +429,7 @@ class _Camera:
         try:
             self._reader = imageio.v2.get_reader(f"<video{number}>")
         except Exception as error:  # imageio has no error of its own for it
-            raise SceneError(f"--video-device {number}: no such camera ({error}); leave it out") from None
+            raise SceneError(f"--video-device {number}: no such camera ({str(error).partition(chr(10))[0]})") from None
         self._fresh: deque[Picture] = deque(maxlen=1)
         threading.Thread(target=self._read, daemon=True).start()
 
