@@ -183,7 +183,7 @@ class LivePage:
     def _change(self, sensor: str, shape: str, size: float) -> None:
         """Another sensor or object; where there is none such, the page says why and stays as it was."""
         given = self._given
-        body = given.object if shape == given.object.shape else Body(shape=shape, rigid=True)
+        body = given.object if shape == given.object.shape else Body(shape=shape, rigid=True, height_mm=given.object.height_mm)
         if shape != self._asked[1]:
             size = _size(body)
         try:
