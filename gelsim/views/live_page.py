@@ -47,7 +47,7 @@ Picture = NDArray[np.uint8]
 Progress = Callable[[str, int, int], None]
 
 HOST = "127.0.0.1"
-PORT = 8080
+PORT, LAST_PORT = 8080, 65535
 ABOVE = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 """Pose of the object at first and when it is lifted: mm, and a quaternion w, x, y, z."""
 STEP_S = 1 / 30
@@ -86,14 +86,16 @@ class LivePage:
 
         Args:
             scene: As for `LiveSensor`: sensor, friction and the first, rigid object.
-            port: Of the page; the next that is free where it is taken.
+            port: Of the page; the next that is free where it is taken; 0 is any.
             record: A folder that is not there yet, or empty, for what is done on the page.
             video_device: Number of a camera of this machine whose picture is shown too.
             device: "auto" | "cpu" | "cuda", of the pictures.
             progress: Told how far the measurement of a sensor's light is.
         Raises:
-            SceneError: A soft object, a viscous gel, a folder that holds files, or no such camera.
+            SceneError: A soft object, a viscous gel, a folder that holds files, or no such camera or port.
         """
+        if not 0 <= port <= LAST_PORT:
+            raise SceneError(f"--port {port}: allowed is 0 … {LAST_PORT}; 0 is any that is free")
         self.recording = None if record is None else Recording(record)
         self._camera = None if video_device is None else _Camera(video_device)
         self._given, self._device, self._progress = scene, device, progress
@@ -375,16 +377,24 @@ class Recording:
             raise SceneError(f"--record {folder}: holds files already; give another folder")
         self.folder, self.frames = folder, 0
         self._takes, self._files = 0, []
+        self._first: tuple[float, Array, LiveFrame] | None = None
 
     def begin(self, scene: Scene) -> None:
         """The next frames are of this sensor and object."""
         self.close()
-        self._scene = scene
+        self._scene, self._first = scene, None
 
     def add(self, moment: float, pose: Array, frame: LiveFrame) -> None:
-        """One answer: at a monotonic time [s], a pose [mm, quaternion w, x, y, z]."""
+        """One answer: at a monotonic time [s], a pose [mm, quaternion w, x, y, z]. The first is kept until there is a motion."""
+        if self._first is None:
+            self._first = moment, pose, frame
+            return
         if not self._files:
-            self._open(moment)
+            self._open()
+            self._write(*self._first)
+        self._write(moment, pose, frame)
+
+    def _write(self, moment: float, pose: Array, frame: LiveFrame) -> None:
         number, time_s = self._number, f"{moment - self._began:.4f}"
         assert frame.image is not None
         outputs.write_image(self._take / "frames" / f"{number:04d}.png", frame.image)
@@ -404,9 +414,10 @@ class Recording:
             file.close()
         self._files = []
 
-    def _open(self, moment: float) -> None:
+    def _open(self) -> None:
+        assert self._first is not None
         self._take = self.folder / f"{self._takes:04d}"
-        self._takes, self._number, self._began = self._takes + 1, 0, moment
+        self._takes, self._number, self._began = self._takes + 1, 0, self._first[0]
         (self._take / "frames").mkdir(parents=True)
         outputs.write_scene(self._take / "scene.toml", self._scene.replace(press=Press()))
         heads = {

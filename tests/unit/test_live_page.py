@@ -123,6 +123,9 @@ def test_a_recording_is_walked_again(page: LivePage, tmp_path: Path) -> None:
     page._sizes.value = 3.0
     settle(page)
     take = tmp_path / "hand" / "0000"
+    assert not (tmp_path / "hand" / "0001").exists()
+    page.handle.position = (0.0, 0.0, 0.9)
+    settle(page)
     assert [path.name for path in sorted((tmp_path / "hand").iterdir())] == ["0000", "0001"]
     _, felt = read_csv(take / "forces.csv")
     frames = sorted((take / "frames").glob("*.png"))
@@ -140,6 +143,7 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").touch()
     assert cli.main(["live", "--record", str(tmp_path / "full")]) == 2 and "holds files already" in capsys.readouterr().err
+    assert cli.main(["live", "--port", "99999"]) == 2 and "allowed is 0 … 65535" in capsys.readouterr().err
     assert cli.main(["live", "--shore", "30"]) == 2 and "rigid" in capsys.readouterr().err
     soft = tmp_path / "soft.toml"
     soft.write_text("[object]\nshore_00 = 30\n")
