@@ -104,6 +104,7 @@ class LivePage:
         """The last answer."""
         self._server = viser.ViserServer(HOST, port, label="gelsim live", verbose=False)
         self._lay_out()
+        self._asked = self._choices
         self._begin()
 
     @property
@@ -165,7 +166,6 @@ class LivePage:
         self._start, self._curve, self._took = time.monotonic(), deque(maxlen=CURVE), deque(maxlen=RATE_OF)
         if self.recording:
             self.recording.begin(self.scene)
-        self._asked = self._choices
         self._lift()
         self._move(self._placed)
 
@@ -186,7 +186,8 @@ class LivePage:
         """Another sensor or object; where there is none such, the page says why and stays as it was."""
         given = self._given
         body = given.object if shape == given.object.shape else Body(shape=shape, rigid=True, height_mm=given.object.height_mm)
-        if shape != self._asked[1]:
+        other = shape != self._asked[1]
+        if other:
             size = _size(body)
         try:
             of_sensor = given if sensor == given.sensor.preset else build_scene({"sensor": {"preset": sensor}})
@@ -198,8 +199,9 @@ class LivePage:
             self._sensors.value, self._shapes.value, self._sizes.value = self._asked
             self._say(str(error))
             return
-        self.scene = scene
-        self._sizes.value, self._sizes.visible = size, shape != "mesh"
+        self.scene, self._asked = scene, (sensor, shape, size)  # a control that was moved meanwhile differs, and is next
+        if other:
+            self._sizes.value, self._sizes.visible = size, shape != "mesh"
         self._begin()
 
     def _move(self, pose: Array) -> None:
@@ -283,14 +285,15 @@ class LivePage:
         time_s = time.monotonic() - self._start
         normal, along = 0.0 - float(frame.force[2]), float(np.hypot(*frame.force[:2]))
         self._curve.append((time_s, normal, along))
-        area = frame.contact.sum() * np.prod([along[1] - along[0] for along in (self.sensor.x, self.sensor.y)]) * MM_PER_M**2
+        cell = np.prod([places[1] - places[0] for places in (self.sensor.x, self.sensor.y)]) * MM_PER_M**2
         with server.atomic():
             self._gel.vertices = self._points(frame.height)
             self._show_picture(frame.image)
             self._show_map()
             self._force.content = (
                 f"## {normal:.2f} N normal force\n**along the gel** {along:.2f} N  \n"
-                f"**torque** {', '.join(f'{value * 1e3:z.1f}' for value in frame.torque)} N mm  \n**contact** {area:.1f} mm²"
+                f"**torque** {', '.join(f'{value * 1e3:z.1f}' for value in frame.torque)} N mm  \n"
+                f"**contact** {frame.contact.sum() * cell:.1f} mm²"
             )
             self._plot.data = tuple(np.array(self._curve, np.float64).T.copy())
 
@@ -323,11 +326,13 @@ class LivePage:
 
     def _places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Columns and rows of the sensor's grid under the picture's field."""
-        found = []
-        for along, seen, middle in zip((self.sensor.x, self.sensor.y), field_seen(self.scene), self.scene.camera.offset_mm, strict=True):
-            near = np.abs(along * MM_PER_M - middle) <= seen / 2
-            found.append(np.flatnonzero(near))
-        return found[0], found[1]
+        columns, rows = (
+            np.flatnonzero(np.abs(places * MM_PER_M - middle) <= seen / 2)
+            for places, seen, middle in zip(
+                (self.sensor.x, self.sensor.y), field_seen(self.scene), self.scene.camera.offset_mm, strict=True
+            )
+        )
+        return columns, rows
 
     def _say(self, text: str) -> None:
         self._told.content = text

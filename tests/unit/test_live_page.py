@@ -27,8 +27,9 @@ from gelsim import optics
 from gelsim.cli import main as cli
 from gelsim.errors import SceneError
 from gelsim.live.press import live_press
+from gelsim.live.sensor import LiveSensor
 from gelsim.optics import bake
-from gelsim.scene.definition import Body, Gel, Markers, Press
+from gelsim.scene.definition import Body, Gel, Markers, Press, Scene
 from gelsim.scene.layers import load_scene
 from gelsim.tables import read_csv
 from gelsim.views import live_page
@@ -87,6 +88,17 @@ def test_controls_make_another_sensor_and_object(page: LivePage) -> None:
     settle(page)
     assert page.scene.object.width_mm == 3.0 and page.handle.position[2] == live_page.ABOVE[2]
     page._sensors.value = "digit"
+    made = page._made
+
+    def slow(scene: Scene) -> LiveSensor:
+        page._sizes.value = 2.5  # someone moves the slider meanwhile
+        page._made = made
+        return made(scene)
+
+    page._made = slow  # type: ignore[method-assign]
+    page.refresh()
+    assert page.scene.object.width_mm == 3.0 and page.refresh() and page.scene.object.width_mm == 2.5
+    page._sizes.value = 3.0
     settle(page)
     assert page.scene.gel == load_preset("digit").gel and page.scene.object.width_mm == 3.0
     page._shapes.value, page._sizes.value = "hemisphere", 2.0
