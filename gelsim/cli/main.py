@@ -12,7 +12,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ gelsim computes what a GelSight tactile sensor sees: finite elements of the gel 
   gelsim render --shape cylinder --shore 30              a soft cylinder, as a tactile video with all its numbers
   gelsim render --shape hemisphere --rigid --radius-mm 4 --depth-mm 0.6
   gelsim press --scene scenes/press_edge_tilted.toml     the mechanics alone
+  gelsim live                                            a page in the browser: press by hand
   gelsim inspect out/cylinder-00-30                      what a result, a press.npz or a mesh file holds
   gelsim doctor                                          what this machine can run
 """
@@ -102,6 +103,14 @@ examples:
 
 Metrics: gelsim study --list. Any field of the scene is a flag, as for render. Writes index.html, study.csv, study.png,
 results.jsonl (a line an evaluation), and sensor.toml and scene.toml of the best."""
+LIVE_EXAMPLES = """\
+examples:
+  gelsim live                                            a rigid ball over the default sensor; open the address that it prints
+  gelsim live --sensor gelsight_mini --shape torus --radius-mm 4 --friction 1.2
+  gelsim live --record out/hand                          what is done, as frames, markers, forces and motion
+  gelsim render --scene out/hand/0000/scene.toml --path-csv out/hand/0000/motion.csv      the same by finite elements and traced light
+
+Drag an arrow to move the object, an arc to turn it. Needs viser: pip install "gelsim[live]". How far to trust it: docs/live.md."""
 PRESS_EXAMPLES = """\
 examples:
   gelsim press --shape hemisphere --radius-mm 10 --shore 50 --out out/press
@@ -267,6 +276,15 @@ def _parser() -> Parser:
     _add_again(optimise, resume="go on in an existing folder, also with more evaluations")
     add_scene_flags(optimise)
     _add_output_flags(optimise, _optimise)
+    live = commands.add_parser("live", help="a page in the browser: press by hand, and see what the sensor sees", epilog=LIVE_EXAMPLES,
+                               usage="%(prog)s [--scene FILE] [any field of the scene as a flag] [--record DIR]")  # fmt: skip
+    live.add_argument("--scene", metavar="FILE", help="sensor, friction and first object from a scene file (default: a rigid ball)")
+    live.add_argument("--port", type=int, default=8080, metavar="N", help="of the page, on this machine only (default: 8080, or the next)")
+    live.add_argument("--record", metavar="DIR", help="write what is done, a folder for each sensor and object: docs/live.md")
+    live.add_argument("--video-device", type=int, metavar="N", help="show the picture of camera N of this machine beside it")
+    live.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="where pictures are drawn (default: auto)")
+    _add_output_flags(live, _live)
+    add_scene_flags(live)
     inspect = commands.add_parser("inspect", help="say and draw what a result folder, a press.npz, a mesh file or a sensor is")
     inspect.add_argument("path", nargs="?", help="a result folder, a press.npz, or an STL, OBJ, PLY, OFF or GLB file")
     inspect.add_argument("--sensor", metavar="NAME", help="instead of a path: a sensor preset, or the path of a sensor file")
@@ -401,6 +419,34 @@ def _draws_on_gpu(device: str) -> bool:
     from gelsim.optics import choose_variant
 
     return choose_variant(device).name.startswith("cuda")
+
+
+def _live(options: argparse.Namespace) -> dict[str, Any]:
+    if options.scene is None and getattr(options, "object.rigid") is None:
+        setattr(options, "object.rigid", "true")  # as if it had been typed: a hardness beside it is an error
+    ball = {"object": {"shape": "hemisphere", "radius_mm": 4.0, "height_mm": 10.0}}
+    scene = build_scene(read_layer(options.scene) if options.scene else ball, layer_of(options))
+    try:
+        from gelsim.views.live_page import LivePage
+    except ModuleNotFoundError as error:
+        raise SceneError(f'live: {error.name} is not installed (pip install "gelsim[live]")') from None
+    with progress_bars() as progress:
+        page = LivePage(
+            scene,
+            port=options.port,
+            record=Path(options.record) if options.record else None,
+            video_device=options.video_device,
+            device=options.device,
+            progress=progress,
+        )
+        print("Open the address in a browser; Ctrl-C ends it.", flush=True)
+        with suppress(KeyboardInterrupt):
+            page.run()
+    page.close()
+    recorded = page.recording.frames if page.recording else 0
+    if not options.json and options.record:
+        print(f"{options.record}: {recorded} frames")
+    return {"record": options.record, "frames": recorded}
 
 
 def _inspect(options: argparse.Namespace) -> dict[str, Any]:

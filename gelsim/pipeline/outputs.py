@@ -14,7 +14,7 @@ import os
 import shutil
 import subprocess
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -377,15 +377,24 @@ def write_heights(path: Path, frames: Sequence[Frame]) -> None:
         np.savez_compressed(file, allow_pickle=False, height=np.stack([frame.height for frame in frames]))
 
 
+MARKER_COLUMNS = ("frame", "id", "col", "row")
+"""Of markers.csv."""
+
+
 def write_markers(path: Path, frames: Iterable[Frame]) -> None:
     """Writes markers.csv: frame, id, col, row [px] of every marker's centre; markers outside the picture are left out."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(["frame", "id", "col", "row"])
+        table.writerow(MARKER_COLUMNS)
         for index, frame in enumerate(frames):
-            for marker in np.flatnonzero(np.isfinite(frame.marker_pixels).all(axis=1)):
-                col, row = frame.marker_pixels[marker]
-                table.writerow([index, marker, f"{col:.4f}", f"{row:.4f}"])
+            table.writerows(marker_rows(index, frame.marker_pixels))
+
+
+def marker_rows(index: int, marker_pixels: NDArray[np.float64]) -> Iterator[tuple[int, int, str, str]]:
+    """Lines of markers.csv for frame `index`, of markers at (column, row) [px], (K, 2)."""
+    for marker in np.flatnonzero(np.isfinite(marker_pixels).all(axis=1)):
+        col, row = marker_pixels[marker]
+        yield index, int(marker), f"{col:.4f}", f"{row:.4f}"
 
 
 # ---- both ----
