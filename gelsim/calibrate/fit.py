@@ -94,7 +94,8 @@ class Evaluation:
         self.shares = [model.visible(self.shape, self.dents, self.seen, light) for light in self.lights]
         if still is None:
             unmoved = model.surface(self.shape, self.dents, presses, model.Pixels(data.pixels.place, np.full(len(data.level), -1)))
-            still = unmoved, [self._map(light, unmoved, np.ones(len(data.level))) for light in self.lights]
+            whole = np.ones_like(self.shares[0])
+            still = unmoved, [self._map(light, unmoved, whole) for light in self.lights]
         self.still = still
         lit = [self._map(light, self.seen, share) for light, share in zip(self.lights, self.shares, strict=True)]
         self.changes = [after - before for after, before in zip(lit, still[1], strict=True)]
@@ -129,9 +130,8 @@ class Evaluation:
                 geometry = p.geometry.copy()
                 geometry[index, k] += 1e-4
                 light = replace(p, geometry=geometry).light(index)
-                hides = what not in ("turn_rad", "log_length")
-                share = model.visible(self.shape, self.dents, self.seen, light) if hides else self.shares[index]
-                changed = self._map(light, self.seen, share) - self._map(light, self.still[0], np.ones(count))
+                share = model.visible(self.shape, self.dents, self.seen, light)
+                changed = self._map(light, self.seen, share) - self._map(light, self.still[0], np.ones_like(share))
                 columns[:, :, start + index * len(GEOMETRY) + k] = scale * np.outer(
                     (changed - self.changes[index]) / 1e-4, p.colours[index]
                 )

@@ -25,8 +25,6 @@ DRAPE = 1.5
 """Width of the visible dent over that of the contact."""
 MOST_LIGHTS, WORTH = 6, 0.04
 """A further light must remove this share of the squared error."""
-SUBPIXEL = 0.5 / np.sqrt(3)
-"""Gauss' two points across a pixel, from its middle."""
 UNPAINTED = 0.8
 """Of the even light: darker is a dot."""
 DOT = 20
@@ -123,10 +121,10 @@ def gather(
     return Data(model.Pixels(place, press), level, np.ones_like(level), np.unique(block, return_inverse=True)[1], rest, added, balls_mm)
 
 
-def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Array, contacts: Array, reach: Array, drawn: Array) -> tuple:
-    """The model's levels of each press, shape (P, H, W, 3): at the pixels' middles, as the fit has them, and as means over the pixels.
+def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Array, contacts: Array, reach: Array, drawn: Array) -> Array:
+    """The model's levels of each press at the pixels' middles, as the fit has them, shape (P, H, W, 3).
 
-    Within `reach` [px], shape (P,), of the dents' middles `contacts` (P, 2); elsewhere both are `drawn`.
+    Within `reach` [px], shape (P,), of the dents' middles `contacts` (P, 2); elsewhere they are `drawn`.
     """
     height, width = drawn.shape[1:3]
     rows, columns = np.mgrid[:height, :width] + 0.5
@@ -134,16 +132,11 @@ def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Arr
     press, row, column = np.nonzero(near)
     place = np.column_stack([column + 0.5 - width / 2, row + 0.5 - height / 2])
     nothing = np.zeros((len(place), 3))
-
-    def level(shift: Array) -> Array:
-        data = Data(model.Pixels(place + shift, press), nothing, nothing, press, rest, nothing, balls_mm)
-        return Evaluation(fitted.parameters, fitted.presses, data, dents).level
-
-    middles, means = drawn.copy(), drawn.copy()
-    middles[press, row, column] = level(np.zeros(2))
-    corners = SUBPIXEL * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    means[press, row, column] = np.mean([level(corner) for corner in corners], axis=0)
-    return middles, means
+    pictures = drawn.copy()
+    pictures[press, row, column] = Evaluation(
+        fitted.parameters, fitted.presses, Data(model.Pixels(place, press), nothing, nothing, press, rest, nothing, balls_mm), dents
+    ).level
+    return pictures
 
 
 def candidates(half_field_mm: float, thickness_mm: float) -> Array:
