@@ -33,6 +33,8 @@ OUTVOTED = 6
 """Photographs that outvote their dents."""
 AGREED = 3
 """Photographs that make a rest with the one without contact: of fewer, one whose dent was found wrongly would decide."""
+QUIET = 5
+"""Side of the windows in which noise is told from paint [px]: with 25 values a variance is right to a quarter."""
 FELT = 2.2
 """Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 BLOCK = 12
@@ -93,7 +95,30 @@ def rest_picture(no_contact: Array, photos: Array, contacts: Array, felt: float)
     stack = np.concatenate([no_contact[None], photos])
     for picture, (column, row, radius) in zip(stack[1:], contacts, strict=True):
         picture[np.hypot(columns - column, rows - row) <= felt * radius] = np.nan
-    return np.nanmedian(stack, axis=0)
+    rest = np.nanmedian(stack, axis=0)
+    return _quieter(rest, _noise_variance(stack, rest))
+
+
+def _noise_variance(stack: Array, rest: Array) -> Array:
+    """Of a median over photographs [levels squared], shape (H, W, 3), by how neighbouring pixels of one photograph differ from it; NaN does
+    not count. A drift of the light is no noise: neighbours share it."""
+    counted = np.isfinite(stack).sum(axis=0)
+    from_neighbour = np.abs(np.diff(stack - rest, axis=2))
+    # By the mean of sizes, not their median, which whole levels make too small. A difference has twice a pixel's variance.
+    one = np.pi / 4 * np.nanmean(from_neighbour, axis=(0, 1, 2)) ** 2 / (1 - 1 / max(float(np.median(counted)), 2.0))
+    # π/2 times the mean's for many photographs, the photograph's own for one.
+    return one * (np.pi / 2) / (counted + np.pi / 2 - 1)
+
+
+def _quieter(picture: Array, noise: Array) -> Array:
+    """A picture less the noise of that variance, by Wiener's filter over windows of QUIET px: where neighbours differ by no more than noise they
+    become alike, dots and scratches stay. Noise that is kept would be taken for paint, which moves with the gel."""
+    from scipy.ndimage import uniform_filter
+
+    window = (QUIET, QUIET, 1)
+    mean = uniform_filter(picture, window)
+    spread = np.maximum(uniform_filter(picture**2, window) - mean**2, 1e-9)
+    return mean + np.maximum(1 - uniform_filter(noise, window) / spread, 0) * (picture - mean)
 
 
 def gather(
