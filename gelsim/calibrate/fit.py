@@ -127,7 +127,7 @@ class Evaluation:
             columns[:, :, k] = (other.level - self.level) / step
         scale, start = self.steep * self.paint, len(GLOBALS)
         for index in range(len(p.geometry)):
-            for k, what in enumerate(GEOMETRY):
+            for k in range(len(GEOMETRY)):
                 geometry = p.geometry.copy()
                 geometry[index, k] += 1e-4
                 light = replace(p, geometry=geometry).light(index)

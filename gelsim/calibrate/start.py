@@ -111,14 +111,16 @@ def _noise_variance(stack: Array, rest: Array) -> Array:
 
 
 def _quieter(picture: Array, noise: Array) -> Array:
-    """A picture less the noise of that variance, by Wiener's filter over windows of QUIET px: where neighbours differ by no more than noise they
-    become alike, dots and scratches stay. Noise that is kept would be taken for paint, which moves with the gel."""
+    """A picture less the noise of that variance, by Wiener's filter over windows of QUIET px: where neighbours differ by no more than noise
+    they become alike, dots and scratches stay. Noise that is kept would be taken for paint, which moves with the gel."""
     from scipy.ndimage import uniform_filter
 
-    window = (QUIET, QUIET, 1)
-    mean = uniform_filter(picture, window)
-    spread = np.maximum(uniform_filter(picture**2, window) - mean**2, 1e-9)
-    return mean + np.maximum(1 - uniform_filter(noise, window) / spread, 0) * (picture - mean)
+    def mean_of(values: Array) -> Array:
+        return np.asarray(uniform_filter(values, QUIET, axes=(0, 1)))
+
+    mean = mean_of(picture)
+    spread = np.maximum(mean_of(picture**2) - mean**2, 1e-9)
+    return mean + np.maximum(1 - mean_of(noise) / spread, 0) * (picture - mean)
 
 
 def gather(
