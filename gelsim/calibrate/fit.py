@@ -4,9 +4,10 @@
 
 over the sensor θ and place, depth and drag p of each press; ϱ is Huber's. The model M is the rest picture, changed (`calibrate.model`):
 what does not change says nothing of the lights. Derivatives by geometry are one-sided differences, all presses at once (each pixel
-depends on its own press only), those by colour exact. Uncertainties are of the sandwich kind: H⁻¹ G H⁻¹ with G the sum over blocks of
-pixels of g gᵀ, so that errors that neighbouring pixels share (compression, what the model lacks) count as what they are. Left out: errors
-that all photographs share.
+depends on its own press only), those by colour exact. Uncertainties are a jackknife's over blocks of pixels (of the sandwich kind, CR3 of
+Bell & McCaffrey 2002): Σ_b δ_b δ_bᵀ with δ_b = (H − H_b)⁻¹ g_b, how far the fit moves without the block. So errors that neighbouring pixels
+share (compression, what the model lacks) count as what they are; the plain sandwich H⁻¹ Σ g gᵀ H⁻¹ is too small where there are few blocks
+for a parameter, since the fit has then followed each block's own error. Left out: errors that all photographs share.
 """
 
 from __future__ import annotations
@@ -94,7 +95,8 @@ class Evaluation:
         self.shares = [model.visible(self.shape, self.dents, self.seen, light) for light in self.lights]
         if still is None:
             unmoved = model.surface(self.shape, self.dents, presses, model.Pixels(data.pixels.place, np.full(len(data.level), -1)))
-            still = unmoved, [self._map(light, unmoved, np.ones(len(data.level))) for light in self.lights]
+            whole = np.ones_like(self.shares[0])
+            still = unmoved, [self._map(light, unmoved, whole) for light in self.lights]
         self.still = still
         lit = [self._map(light, self.seen, share) for light, share in zip(self.lights, self.shares, strict=True)]
         self.changes = [after - before for after, before in zip(lit, still[1], strict=True)]
@@ -125,13 +127,12 @@ class Evaluation:
             columns[:, :, k] = (other.level - self.level) / step
         scale, start = self.steep * self.paint, len(GLOBALS)
         for index in range(len(p.geometry)):
-            for k, what in enumerate(GEOMETRY):
+            for k in range(len(GEOMETRY)):
                 geometry = p.geometry.copy()
                 geometry[index, k] += 1e-4
                 light = replace(p, geometry=geometry).light(index)
-                hides = what not in ("turn_rad", "log_length")
-                share = model.visible(self.shape, self.dents, self.seen, light) if hides else self.shares[index]
-                changed = self._map(light, self.seen, share) - self._map(light, self.still[0], np.ones(count))
+                share = model.visible(self.shape, self.dents, self.seen, light)
+                changed = self._map(light, self.seen, share) - self._map(light, self.still[0], np.ones_like(share))
                 columns[:, :, start + index * len(GEOMETRY) + k] = scale * np.outer(
                     (changed - self.changes[index]) / 1e-4, p.colours[index]
                 )
@@ -181,13 +182,14 @@ def fit(
     residual = data.level - here.level
     sigma = max(1.4826 * float(np.median(np.abs(residual[counted]))), 0.3)
     damping, done, slow = 1e-3, 0, 0
-    hessian = np.eye(len(vector))
-    scores = np.zeros((0, len(vector)))
+    hessian, linearised = np.eye(len(vector)), None
     for done in range(1, iterations + 1):
         sigma = max(1.4826 * float(np.median(np.abs(residual[counted]))), 0.3)
         cost = _cost(residual, data.weight, sigma) + float(pull @ (vector - centre) ** 2)
         robust = data.weight * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
-        hessian, gradient, scores = _normal(here, residual, robust, prior.frozen)
+        columns = _columns(here, prior.frozen)
+        hessian, gradient = _normal(here, columns, residual, robust)
+        linearised = here, columns, residual, robust
         hessian += np.diag(pull)
         gradient -= pull * (vector - centre)
         progress(done, iterations)
@@ -217,11 +219,10 @@ def fit(
         slow = slow + 1 if gain < 1e-4 else 0
         if not better or slow == 3:
             break
-    free = np.flatnonzero(free_always)
-    inverse = np.linalg.pinv(hessian[np.ix_(free, free)])
-    middle = scores[:, free].T @ scores[:, free] + np.diag(pull[free])
     covariance = np.zeros_like(hessian)
-    covariance[np.ix_(free, free)] = inverse @ middle @ inverse
+    free = np.flatnonzero(free_always)
+    if linearised is not None:
+        covariance[np.ix_(free, free)] = _jackknife(*linearised, hessian, free, pull)
     rms = float(np.sqrt(np.average(residual[counted] ** 2, weights=data.weight[counted])))
     return Fitted(here.parameters, here.presses, float(cost), rms, sigma, covariance, done)
 
@@ -239,28 +240,46 @@ def _cost(residual: Array, weight: Array, sigma: float) -> float:
     return float((weight * np.where(size < HUBER, size**2, 2 * HUBER * size - HUBER**2)).sum())
 
 
-def _normal(here: Evaluation, residual: Array, weight: Array, frozen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """JᵀWJ, JᵀWr and the gradient's share of each block, over sensor and presses."""
-    data, presses = here.data, here.presses
-    own = here.press_columns()
-    sensor_count = len(frozen)
-    sensor = np.zeros((len(residual), 3, sensor_count)) if frozen.all() else here.sensor_columns(frozen)
-    total = sensor_count + presses.size
-    hessian = np.zeros((total, total))
-    flat = sensor.reshape(-1, sensor_count)
-    weighted = flat * weight.reshape(-1, 1)
-    hessian[:sensor_count, :sensor_count] = flat.T @ weighted
-    scores = np.zeros((int(data.block.max()) + 1, total))
-    np.add.at(scores[:, :sensor_count], data.block, (sensor * (weight * residual)[..., None]).sum(axis=1))
-    for press in range(len(presses)):
-        some = np.flatnonzero(data.pixels.press == press)
-        if len(some) == 0:
-            continue
-        part = slice(sensor_count + len(PRESS) * press, sensor_count + len(PRESS) * (press + 1))
-        local = own[some].reshape(-1, len(PRESS))
-        heavy = local * weight[some].reshape(-1, 1)
-        hessian[part, part] = local.T @ heavy
-        hessian[:sensor_count, part] = flat.reshape(-1, 3, sensor_count)[some].reshape(-1, sensor_count).T @ heavy
-        hessian[part, :sensor_count] = hessian[:sensor_count, part].T
-        np.add.at(scores[:, part], data.block[some], (own[some] * (weight * residual)[some][..., None]).sum(axis=1))
-    return hessian, scores.sum(axis=0), scores
+def _columns(here: Evaluation, frozen: NDArray[np.bool_]) -> Array:
+    """Derivatives of the levels by the sensor's vector and by what the pixel's own press is, shape (N, 3, K + 5)."""
+    sensor = np.zeros((*here.level.shape, len(frozen))) if frozen.all() else here.sensor_columns(frozen)
+    return np.concatenate([sensor, here.press_columns()], axis=2)
+
+
+def _of(press: int, sensor_count: int) -> NDArray[np.int64]:
+    """Where the sensor and a press stand in the vector."""
+    return np.concatenate([np.arange(sensor_count), sensor_count + len(PRESS) * press + np.arange(len(PRESS))])
+
+
+def _normal(here: Evaluation, columns: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
+    """JᵀWJ and JᵀWr over sensor and presses."""
+    width, press_count = columns.shape[2], len(here.presses)
+    sensor_count = width - len(PRESS)
+    total = sensor_count + len(PRESS) * press_count
+    hessian, gradient = np.zeros((total, total)), np.zeros(total)
+    for press in range(press_count):
+        some = here.data.pixels.press == press
+        flat, at = columns[some].reshape(-1, width), _of(press, sensor_count)
+        heavy = flat * weight[some].reshape(-1, 1)
+        hessian[np.ix_(at, at)] += flat.T @ heavy
+        gradient[at] += heavy.T @ residual[some].ravel()
+    return hessian, gradient
+
+
+def _jackknife(
+    here: Evaluation, columns: Array, residual: Array, weight: Array, hessian: Array, free: NDArray[np.int64], pull: Array
+) -> Array:  # fmt: skip
+    """Covariance of the free parameters by how the fit would move without each block, and by the priors' own width."""
+    width = columns.shape[2]
+    moved = []
+    order = np.argsort(here.data.block, kind="stable")
+    for some in np.split(order, np.flatnonzero(np.diff(here.data.block[order])) + 1):
+        at = _of(int(here.data.pixels.press[some[0]]), width - len(PRESS))
+        flat = columns[some].reshape(-1, width)
+        heavy = flat * weight[some].reshape(-1, 1)
+        rest, gradient = hessian.copy(), np.zeros(len(hessian))
+        rest[np.ix_(at, at)] -= flat.T @ heavy
+        gradient[at] = heavy.T @ residual[some].ravel()
+        moved.append(np.linalg.lstsq(rest[np.ix_(free, free)], gradient[free], rcond=None)[0])
+    inverse = np.linalg.pinv(hessian[np.ix_(free, free)])
+    return np.transpose(moved) @ np.array(moved) + inverse @ np.diag(pull[free]) @ inverse

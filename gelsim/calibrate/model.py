@@ -206,30 +206,40 @@ def _height(shape: Shape, dents: DentFamily, at: Array, centre: Array, depth: Ar
 
 
 def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Array:
-    """Share of a light that the dent leaves visible from each point, shape (N,). Attached shadows are the cosine's affair."""
-    share = np.ones(len(seen.point))
+    """Share of a light that the dent leaves visible from each point, of each of its places ALONG, shape (A, N).
+
+    Attached shadows are the cosine's affair. A long light's shadow is as soft across its length as it is long: with one share for all of it
+    a fitted light was 20 to 60 % too tall.
+    """
+    share = np.ones((len(ALONG[0]), len(seen.point)))
     some = np.flatnonzero(seen.depth > 0)
     if len(some) == 0 or light[2] > seen.point[:, 2].min() or np.hypot(light[0], light[1]) < -light[2]:
         return share
-    point, depth, radius = seen.point[some], seen.depth[some], seen.radius[some]
-    toward = light[:2] - point[:, :2]
-    far = np.sqrt((toward**2).sum(axis=1))
-    toward /= far[:, None]
-    highest = np.full(len(some), -np.inf)
+    depth, radius = seen.depth[some], seen.radius[some]
     unit = np.sqrt(radius * depth)
-    x, y, z = np.ascontiguousarray(point.T)
-    across, down = np.ascontiguousarray(toward.T)
+    x, y, z = np.ascontiguousarray(seen.point[some].T)
     centre_x, centre_y = np.ascontiguousarray(seen.centre[some].T)
-    for step in STEPS:
-        reach = step * unit
-        at_x, at_y = x + across * reach, y + down * reach
-        squared = at_x**2 + at_y**2
-        dome = -shape.curvature * squared / (1 + np.sqrt(np.maximum(1 - shape.curvature**2 * squared, 0.05)))
-        dent = dents.height_at(np.sqrt((at_x - centre_x) ** 2 + (at_y - centre_y) ** 2), depth, radius)
-        np.maximum(highest, (z - dome - dent) / reach, out=highest)
-    # Half of the light's height as seen from here, in slope.
-    half = np.maximum(0.5 * light[6] * np.sqrt(max(1 - facing(light)[2] ** 2, 0.01)) / far, 0.02)
-    share[some] = np.clip(((point[:, 2] - light[2]) / far - highest) / (2 * half) + 0.5, 0, 1)
+    tilted = np.sqrt(max(1 - facing(light)[2] ** 2, 0.01))
+    along = _axes(light)[0]
+    above, half = np.empty((len(share), len(some))), np.empty((len(share), len(some)))
+    for k, s in enumerate(ALONG[0]):
+        across, down = light[0] + 0.5 * s * light[5] * along[0] - x, light[1] + 0.5 * s * light[5] * along[1] - y
+        far = np.sqrt(across**2 + down**2)
+        across, down = across / far, down / far
+        highest = np.full(len(some), -np.inf)
+        for step in STEPS:
+            reach = step * unit
+            at_x, at_y = x + across * reach, y + down * reach
+            squared = at_x**2 + at_y**2
+            dome = -shape.curvature * squared / (1 + np.sqrt(np.maximum(1 - shape.curvature**2 * squared, 0.05)))
+            dent = dents.height_at(np.sqrt((at_x - centre_x) ** 2 + (at_y - centre_y) ** 2), depth, radius)
+            np.maximum(highest, (z - dome - dent) / reach, out=highest)
+        above[k] = (z - light[2]) / far - highest
+        # Half of the light's height as seen from here, in slope.
+        half[k] = np.maximum(0.5 * light[6] * tilted / far, 0.02)
+    # Each place stands for a part of the length, over which the shadow's edge rises or falls.
+    part = np.abs(np.gradient(above, ALONG[0], axis=0)) * (0.5 * ALONG[1][:, None])
+    share[:, some] = np.clip(above / (2 * np.sqrt(half**2 + part**2)) + 0.5, 0, 1)
     return share
 
 
@@ -238,25 +248,31 @@ def facing(light: Array) -> Array:
     return np.array([np.cos(light[3]) * np.cos(light[4]), np.sin(light[3]) * np.cos(light[4]), np.sin(light[4])])
 
 
+def _axes(light: Array) -> tuple[Array, Array]:
+    """Unit vectors along and across a light's face."""
+    front = facing(light)
+    along = np.cross([0.0, 0.0, 1.0], front)
+    along = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else np.array([1.0, 0.0, 0.0])
+    return along, np.cross(front, along)
+
+
 def light_maps(seen: Surface, light: Array, roughness: float, share: Array) -> tuple[Array, Array]:
     """Diffuse and glossy radiance under one light of radiance 1, for an albedo and a flake share of 1, each shape (N,).
 
     Args:
         light: x, y, z [mm], azimuth and elevation of its face [rad], size along and across [mm].
-        share: Visible share.
+        share: Visible share of each of its places ALONG, shape (A, N).
     """
     front = facing(light)
-    along = np.cross([0.0, 0.0, 1.0], front)
-    along = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else np.array([1.0, 0.0, 0.0])
-    up = np.cross(front, along)
-    diffuse, glossy = np.zeros(len(share)), np.zeros(len(share))
+    along, up = _axes(light)
+    diffuse, glossy = np.zeros(share.shape[1]), np.zeros(share.shape[1])
     px, py, pz = np.ascontiguousarray(seen.point.T)
     nx, ny, nz = np.ascontiguousarray(seen.normal.T)
     vx, vy, vz = np.ascontiguousarray(seen.view.T)
     out = np.maximum(nx * vx + ny * vy + nz * vz, 1e-3)
     alpha2 = roughness**2
     mask_out = _masking(out, alpha2)
-    for s, weight_s in zip(*ALONG, strict=True):
+    for s, weight_s, shown in zip(*ALONG, share, strict=True):
         for t, weight_t in zip(*ACROSS, strict=True):
             source = light[:3] + 0.5 * s * light[5] * along + 0.5 * t * light[6] * up
             x, y, z = source[0] - px, source[1] - py, source[2] - pz
@@ -264,13 +280,13 @@ def light_maps(seen: Surface, light: Array, roughness: float, share: Array) -> t
             x, y, z = x * inverse, y * inverse, z * inverse
             into = np.maximum(x * nx + y * ny + z * nz, 0.0)
             leaving = np.maximum(-(x * front[0] + y * front[1] + z * front[2]), 0.0)
-            weight = (weight_s * weight_t / 4 * light[5] * light[6]) * leaving * inverse**2
+            weight = (weight_s * weight_t / 4 * light[5] * light[6]) * leaving * inverse**2 * shown
             diffuse += weight * into
             hx, hy, hz = x + vx, y + vy, z + vz
             tilt = (hx * nx + hy * ny + hz * nz) ** 2 / (hx * hx + hy * hy + hz * hz)
             spread = alpha2 / (np.pi * (tilt * (alpha2 - 1) + 1) ** 2)
             glossy += weight * (into > 0) * spread * _masking(np.maximum(into, 1e-3), alpha2) * mask_out / (4 * out)
-    return diffuse * share / np.pi, glossy * share
+    return diffuse / np.pi, glossy
 
 
 def _masking(cosine: Array, alpha2: float) -> Array:

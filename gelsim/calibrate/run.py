@@ -47,9 +47,12 @@ NEEDED = 1.05
 """A light is needed if the squared error without it is larger by this factor."""
 ROUNDS = 2
 """Of the renderer's correction."""
-CORRECTION_SPP, SCORE_SPP = 24, 64
-SMOOTHING = 0.8
-"""Standard deviation [px] of the mean over the renderer's noise in what it adds."""
+CORRECTION_PATHS, MOST_SPP = 2_000_000, 1024
+"""Of a picture that corrects the model: what the membrane sends to itself is gathered from so many paths, whatever the picture's size."""
+BEFORE_SPP, SCORE_SPP = 24, 64
+SMOOTHING_MM = 0.14
+"""Standard deviation of the mean over the renderer's noise in what the membrane sends to itself. Wider, the bright ring at a contact's edge
+is lost, and the fit makes up for it with camera and coat."""
 VALIDATION = 4
 """One in so many presses is left out of the fit to judge its states; with fewer than twice as many, those of the fit judge."""
 UNDETERMINED = 0.7
@@ -167,7 +170,7 @@ def calibrate(
         shown_rest, shown = _draw(job, scene, fitted.parameters, places, np.arange(len(places)), SCORE_SPP, "pictures")
         rows = _rows(test if len(test) else np.flatnonzero(~photos.test))
         before = _full_scene(job, first, full_rest)
-        before_rest, before_shown = _draw(job, before, first, presses[rows], rows, CORRECTION_SPP, "before")
+        before_rest, before_shown = _draw(job, before, first, presses[rows], rows, BEFORE_SPP, "before")
         report = _report(job, state, places, press_sd, shown_rest, shown)
         if len(test) and photos.markers:
             _, drawn = _draw(job, scene, fitted.parameters, dragged[test], test, SCORE_SPP, "dragged")
@@ -445,10 +448,10 @@ def _with_rest(scene: Scene, rest: Path) -> Scene:
 
 
 def _draw(
-    job: _Job, scene: Scene, parameters: Parameters, presses: Array, which: NDArray[np.int64], spp: int, name: str
+    job: _Job, scene: Scene, parameters: Parameters, presses: Array, which: NDArray[np.int64], spp: int, name: str, mode: str = "path"
 ) -> tuple[Array, Array]:  # fmt: skip
     """The picture at rest, and those of presses, whose numbers are `which`."""
-    scene = scene.replace(render=replace(scene.render, mode="path", spp=spp))
+    scene = scene.replace(render=replace(scene.render, mode=mode, spp=spp))
     rest, images = drawing.draw(
         scene, job.dents.at(parameters.globals[3], parameters.globals[9]), job.photos.balls_mm[which], list(presses), device=job.device,
         progress=lambda done, total: job.show(name, done, total),
@@ -463,12 +466,14 @@ def _correction(job: _Job, state: _State, presses: Array, which: NDArray[np.int6
     height, width = job.reduced.shape[1:3]
     fitted = replace(state.fitted, presses=presses[which])
     scene = _with_rest(to_scene(fitted.parameters, job.base, (width, height)), job.small_path)
-    _, images = _draw(job, scene, fitted.parameters, fitted.presses, which, CORRECTION_SPP, name)
-    middles, means = beginning.model_pictures(
-        fitted, job.small, job.dents, job.photos.balls_mm[which], job.contacts[which], job.reach(which), images
+    spp = int(np.clip(CORRECTION_PATHS / (height * width), BEFORE_SPP, MOST_SPP))
+    images, straight = (_draw(job, scene, fitted.parameters, fitted.presses, which, spp, name, mode)[1] for mode in ("path", "direct"))
+    own = beginning.model_pictures(
+        fitted, job.small, job.dents, job.photos.balls_mm[which], job.contacts[which], job.reach(which), straight
     )
-    # What inter-reflection adds is smooth, so that the renderer's noise can be smoothed away; what a pixel averages over is not.
-    added = gaussian_filter(images - means, (0, SMOOTHING, SMOOTHING, 0)) + (means - middles)
+    # What the membrane sends to itself is smooth, so that its noise can be smoothed away; shadows, and what a pixel averages over, are not.
+    sd = SMOOTHING_MM / fitted.parameters.globals[0]
+    added = gaussian_filter(images - straight, (0, sd, sd, 0)) + (straight - own)
     drawn, whole = np.zeros_like(job.reduced), np.zeros_like(job.reduced)
     drawn[which], whole[which] = images, added
     return drawn, whole

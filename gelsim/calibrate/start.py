@@ -25,8 +25,6 @@ DRAPE = 1.5
 """Width of the visible dent over that of the contact."""
 MOST_LIGHTS, WORTH = 6, 0.04
 """A further light must remove this share of the squared error."""
-SUBPIXEL = 0.5 / np.sqrt(3)
-"""Gauss' two points across a pixel, from its middle."""
 UNPAINTED = 0.8
 """Of the even light: darker is a dot."""
 DOT = 20
@@ -35,6 +33,8 @@ OUTVOTED = 6
 """Photographs that outvote their dents."""
 AGREED = 3
 """Photographs that make a rest with the one without contact: of fewer, one whose dent was found wrongly would decide."""
+QUIET = 5
+"""Side of the windows in which noise is told from paint [px]: with 25 values a variance is right to a quarter."""
 FELT = 2.2
 """Of a dent's visible radius: how far from its middle a press is compared; beyond, the photograph shows the rest."""
 BLOCK = 12
@@ -95,7 +95,32 @@ def rest_picture(no_contact: Array, photos: Array, contacts: Array, felt: float)
     stack = np.concatenate([no_contact[None], photos])
     for picture, (column, row, radius) in zip(stack[1:], contacts, strict=True):
         picture[np.hypot(columns - column, rows - row) <= felt * radius] = np.nan
-    return np.nanmedian(stack, axis=0)
+    rest = np.nanmedian(stack, axis=0)
+    return _quieter(rest, _noise_variance(stack, rest))
+
+
+def _noise_variance(stack: Array, rest: Array) -> Array:
+    """Of a median over photographs [levels squared], shape (H, W, 3), by how neighbouring pixels of one photograph differ from it; NaN does
+    not count. A drift of the light is no noise: neighbours share it."""
+    counted = np.isfinite(stack).sum(axis=0)
+    from_neighbour = np.abs(np.diff(stack - rest, axis=2))
+    # By the mean of sizes, not their median, which whole levels make too small. A difference has twice a pixel's variance.
+    one = np.pi / 4 * np.nanmean(from_neighbour, axis=(0, 1, 2)) ** 2 / (1 - 1 / max(float(np.median(counted)), 2.0))
+    # π/2 times the mean's for many photographs, the photograph's own for one.
+    return one * (np.pi / 2) / (counted + np.pi / 2 - 1)
+
+
+def _quieter(picture: Array, noise: Array) -> Array:
+    """A picture less the noise of that variance, by Wiener's filter over windows of QUIET px: where neighbours differ by no more than noise
+    they become alike, dots and scratches stay. Noise that is kept would be taken for paint, which moves with the gel."""
+    from scipy.ndimage import uniform_filter
+
+    def mean_of(values: Array) -> Array:
+        return np.asarray(uniform_filter(values, QUIET, axes=(0, 1)))
+
+    mean = mean_of(picture)
+    spread = np.maximum(mean_of(picture**2) - mean**2, 1e-9)
+    return mean + np.maximum(1 - mean_of(noise) / spread, 0) * (picture - mean)
 
 
 def gather(
@@ -123,10 +148,10 @@ def gather(
     return Data(model.Pixels(place, press), level, np.ones_like(level), np.unique(block, return_inverse=True)[1], rest, added, balls_mm)
 
 
-def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Array, contacts: Array, reach: Array, drawn: Array) -> tuple:
-    """The model's levels of each press, shape (P, H, W, 3): at the pixels' middles, as the fit has them, and as means over the pixels.
+def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Array, contacts: Array, reach: Array, drawn: Array) -> Array:
+    """The model's levels of each press at the pixels' middles, as the fit has them, shape (P, H, W, 3).
 
-    Within `reach` [px], shape (P,), of the dents' middles `contacts` (P, 2); elsewhere both are `drawn`.
+    Within `reach` [px], shape (P,), of the dents' middles `contacts` (P, 2); elsewhere they are `drawn`.
     """
     height, width = drawn.shape[1:3]
     rows, columns = np.mgrid[:height, :width] + 0.5
@@ -134,16 +159,11 @@ def model_pictures(fitted: Fitted, rest: model.Rest, dents: Dents, balls_mm: Arr
     press, row, column = np.nonzero(near)
     place = np.column_stack([column + 0.5 - width / 2, row + 0.5 - height / 2])
     nothing = np.zeros((len(place), 3))
-
-    def level(shift: Array) -> Array:
-        data = Data(model.Pixels(place + shift, press), nothing, nothing, press, rest, nothing, balls_mm)
-        return Evaluation(fitted.parameters, fitted.presses, data, dents).level
-
-    middles, means = drawn.copy(), drawn.copy()
-    middles[press, row, column] = level(np.zeros(2))
-    corners = SUBPIXEL * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    means[press, row, column] = np.mean([level(corner) for corner in corners], axis=0)
-    return middles, means
+    pictures = drawn.copy()
+    pictures[press, row, column] = Evaluation(
+        fitted.parameters, fitted.presses, Data(model.Pixels(place, press), nothing, nothing, press, rest, nothing, balls_mm), dents
+    ).level
+    return pictures
 
 
 def candidates(half_field_mm: float, thickness_mm: float) -> Array:

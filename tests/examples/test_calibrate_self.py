@@ -29,18 +29,21 @@ def test_a_known_sensor_is_found(repository: Path, tmp_path: Path, monkeypatch: 
     assert len(report["fit"]["lights"]) == 4 and report["fit"]["lights"][-1] == "veil"
     assert errors("azimuth_deg").max() < 2
     assert errors("away_mm", relative=True).max() < 0.08 and errors(".z_mm", relative=True).max() < 0.08
-    # The coat trades with the lights' heights: a taller light and a smoother coat look nearly alike (docs/calibrate.md).
-    assert errors("specular").max() < 0.08 and errors("roughness").max() < 0.08
+    # Three of their standard deviations. A light whose shadow is not as soft as it is long is found 20 to 60 % too tall; the ring of
+    # inter-reflection that is smoothed away made the coat 0.163.
+    assert errors("specular").max() < 0.036 and errors("roughness").max() < 0.03
+    assert errors("height_mm", relative=True).max() < 0.2
     # Presses to a tenth of a pixel, and to 3 % of the depth.
     assert max(errors("png.x_mm").max(), errors("png.y_mm").max()) < 0.1 * pixel_mm
     assert errors("depth_mm", relative=True).max() < 0.03
-    # A picture not fitted to: noise 1.5² and rounding, twice 1/12, make 2.4; what the rest keeps of its noise, a median of two to six, 1.1;
-    # the renderer's noise about 0.5; that leaves 1 for the fit. With one no-contact photograph as the rest it was 6.1.
+    # A picture not fitted to: noise 1.5² and rounding, twice 1/12, make 2.4; what the rest keeps of its noise 0.6;
+    # the renderer's noise about 0.5; that leaves 1.5 for the fit. With one no-contact photograph as the rest it was 6.1.
     assert report["scores"]["test"]["whole"]["mse"] < 5
     assert report["scores"]["no_contact_as_test"]["whole"]["mse"] > 20
-    # Standard deviations leave out errors that all photographs share, so a median of 0.7 is not reached; but they are of the right size.
-    found = np.array([abs(got - wanted) / sd for _, wanted, got, sd, state in rows if state in ("determined", "train", "test")])
-    assert 0.3 < np.median(found) < 3
+    # Standard deviations are what they say: the sensor's own parameters lie within two of them, and these are not too wide to say anything.
+    own = np.array([(abs(got - wanted), sd) for name, wanted, got, sd, _ in rows if not name.startswith("press_")]).T
+    assert (own[0] < 2 * own[1]).mean() >= 0.8
+    assert np.median(own[1]) <= 2 * np.median(own[0])
     # The preset is a sensor.
     scene = build_scene({"sensor": {"preset": str(tmp_path / "sensor.toml")}})
     assert scene.camera.resolution == (width, height) and len(scene.lights.lights) == len(report["fit"]["lights"])

@@ -50,7 +50,7 @@ def test_the_rest_is_that_of_the_photographs_away_from_their_dents():
     rest = start.rest_picture(photograph(), photos, PRESSES, 2.2)
     drifted = photograph(drift=5.0)
     # Dots still move a tenth of a pixel at 2.2 radii: in few pixels.
-    assert np.median(np.abs(rest - drifted)) == 0 and (np.abs(rest - drifted) > 2).mean() < 0.01
+    assert np.median(np.abs(rest - drifted)) < 1e-3 and (np.abs(rest - drifted) > 2).mean() < 0.01
     # Planted: the no-contact photograph, from before the drift.
     assert np.median(np.abs(photograph() - drifted)) > 1
     assert np.array_equal(start.rest_picture(photograph(), photos[:2], PRESSES[:2], 2.2), photograph())
