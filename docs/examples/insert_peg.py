@@ -79,7 +79,12 @@ def main(quick: bool = False) -> dict[str, dict[str, float]]:
                 Image.fromarray(np.vstack([shown[i] for i in np.linspace(0, len(shown) - 1, 4).astype(int)])).save(
                     VIDEO.with_suffix(".jpg"), quality=80
                 )
-        found[policy.__name__] = {"tried": len(ends), "entered": sum(ends), "most_n": max(pushes), "seconds": float(np.mean(times or [np.nan]))}
+        found[policy.__name__] = {
+            "tried": len(ends),
+            "entered": sum(ends),
+            "most_n": max(pushes),
+            "seconds": float(np.mean(times or [np.nan])),
+        }
     env.close()
     return found
 

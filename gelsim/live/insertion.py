@@ -36,8 +36,9 @@ WORLD = """
   <default><geom solref=".01 1" friction=".4" rgba=".7 .7 .75 1"/></default>
   <statistic center="0 0 .02" extent=".1"/>
   <worldbody>
-    <light pos=".1 -.2 .4" dir="-.2 .4 -.8"/>
-    <camera name="view" pos=".012 -.075 .034" xyaxes="1 .16 0 -.04 .26 .96" fovy="44"/>
+    <light pos=".1 -.2 .4" dir="-.2 .4 -.8" castshadow="false"/>
+    <camera name="view" pos=".011 -.07 .036" xyaxes="1 .16 0 -.06 .38 .92" fovy="42"/>
+    <geom type="plane" size=".2 .2 .01" pos="0 0 -.012" rgba=".35 .4 .45 1" contype="0" conaffinity="0"/>
     <body name="plate"/>
     <body name="peg" pos="0 0 .0195">
       <freejoint/>
@@ -81,7 +82,7 @@ SPEED = 0.005
 INSERTED = 0.005
 """Depth of the end in the hole at which the peg is in [m]."""
 GRIP, GRIPPING = 5.0, 0.004
-"""Normal force that a reset closes to [N]; speed over force that is missing [m/s per N]."""
+"""Normal force that the hand closes to [N]; speed over force that is missing [m/s per N]."""
 SETTLING = 50
 """Steps of the model."""
 MOST_PUSH = 2.0
@@ -131,21 +132,16 @@ class InsertEnv(TactileEnv):
         }
         super().__init__(inserter(scene or build_scene(STIFF_GEL)), measured, image=image, render_mode=render_mode)
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self._weight = np.zeros(6)
+        self._grip()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
         self._clear(seed)
         angle, radius = self.np_random.uniform(0, 2 * np.pi), OFFSET * np.sqrt(self.np_random.uniform())
         self._offset = radius * np.array([np.cos(angle), np.sin(angle)])
         self.model.body("plate").pos[:2] = self._offset
-        self._steps, self._weight = 0, np.zeros(6)
-        while (missing := GRIP + np.mean([pad.wrench[2] for pad in self.touch.pads])) > 0.05 * GRIP:
-            self.data.actuator("close").ctrl = min(GRIPPING * missing, SPEED)
-            self.touch.step()
-        self.data.actuator("close").ctrl = 0.0
-        self.data.eq_active[self.model.equality("held").id] = 0
-        for _ in range(SETTLING):
-            self.touch.step()
-        self._weight = self.wrench()
+        self.touch.state = self._gripped
+        self._steps = 0
         return self._seen(), self._info()
 
     def step(self, action: NDArray) -> tuple[dict[str, NDArray], float, bool, bool, dict[str, Any]]:
@@ -157,6 +153,18 @@ class InsertEnv(TactileEnv):
         reward = (self._depth() - before) / INSERTED + entered - broken
         info = self._info() | {"is_success": entered}
         return self._seen(), float(reward), broken or entered, self._steps >= EPISODE_STEPS, info
+
+    def _grip(self) -> None:
+        """Closes on the peg, which a reset then returns to."""
+        while (missing := GRIP + np.mean([pad.wrench[2] for pad in self.touch.pads])) > 0.05 * GRIP:
+            self.data.actuator("close").ctrl = min(GRIPPING * missing, SPEED)
+            self.touch.step()
+        self.data.actuator("close").ctrl = 0.0
+        self.data.eq_active[self.model.equality("held").id] = 0
+        for _ in range(SETTLING):
+            self.touch.step()
+        self._weight = self.wrench()
+        self._gripped = self.touch.state
 
     def measured(self) -> dict[str, NDArray]:
         joints = [self.data.joint(name).qpos[0] for name in "xyz"]
