@@ -83,7 +83,7 @@ INSERTED = 0.005
 """Depth of the end in the hole at which the peg is in [m]."""
 GRIP, GRIPPING = 5.0, 0.004
 """Normal force that the hand closes to [N]; speed over force that is missing [m/s per N]."""
-SETTLING = 50
+SETTLING = 200
 """Steps of the model."""
 MOST_PUSH = 2.0
 """Force down that breaks peg or plate [N]."""

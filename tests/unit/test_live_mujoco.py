@@ -354,10 +354,8 @@ def test_the_peg_is_a_gymnasium_environment() -> None:
     seen, info = env.reset(seed=1)
     assert (env.reset(seed=1)[1]["offset"] == info["offset"]).all() and np.linalg.norm(info["offset"]) < OFFSET
     assert np.abs(seen["wrench"]).max() < 1e-6
-    for _ in range(20):  # down on the rim, and there it stays
-        env.step(np.array([0, 0, -1.0]))
-    for _ in range(10):
-        seen, *_ = env.step(np.zeros(3))
+    for step in range(32):  # down on the rim, and there it stays
+        seen, *_ = env.step(np.array([0, 0, -1.0 if step < 12 else 0]))
     model, data, plate = env.model, env.data, np.zeros(6)
     for index, contact in enumerate(data.contact):
         force = np.zeros(6)
@@ -365,8 +363,9 @@ def test_the_peg_is_a_gymnasium_environment() -> None:
         on_peg = contact.frame.reshape(3, 3).T @ force[:3] * (1 if model.geom_bodyid[contact.geom2] == model.body("peg").id else -1)
         plate += np.concatenate([on_peg, np.cross(contact.pos - data.body("hand").xpos, on_peg)])
     assert plate[2] > 0.1
-    # at rest but for what still swings: 10 g at 0.1 m/s²
-    assert np.abs(seen["wrench"] - plate)[:3].max() < 1e-2 and np.abs(seen["wrench"] - plate)[3:].max() < 1e-2 * 0.02
+    # it creeps into the hole at 0.1 mm/s; half a percent of the push is what the gels' solution leaves
+    assert np.abs(seen["wrench"] - plate)[:3].max() < 0.005 * plate[2]
+    assert np.abs(seen["wrench"] - plate)[3:].max() < 0.005 * plate[2] * 0.02
     env.close()
 
 
