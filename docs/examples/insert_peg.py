@@ -1,6 +1,6 @@
 """A hand puts a peg into a hole that is up to 1 mm aside: it moves away from where its two gels feel the peg's end rest on the rim.
 
-    MUJOCO_GL=egl python docs/examples/insert_peg.py      # out/insert_peg.mp4 and .jpg, 20 offsets; minutes, and two once for the light
+    MUJOCO_GL=egl python docs/examples/insert_peg.py      # out/insert_peg.mp4, docs/images/gallery_insert.jpg; 15 minutes
     python docs/examples/insert_peg.py --quick            # 3 offsets, no video, no OpenGL
 
 What is known to the controller is the wrench on the gels (`InsertEnv`), nothing of the hole. Blind to all of it but the push it stays
@@ -19,7 +19,7 @@ from gelsim.live.insertion import SPEED, STIFF_GEL, TIP, InsertEnv
 from gelsim.pipeline.outputs import encode_video
 from gelsim.scene.layers import build_scene
 
-VIDEO = Path("out/insert_peg.mp4")
+VIDEO, PICTURE = Path("out/insert_peg.mp4"), Path("docs/images/gallery_insert.jpg")
 FPS = 25
 PUSH = 0.5
 """Force down [N]."""
@@ -76,9 +76,8 @@ def main(quick: bool = False) -> dict[str, dict[str, float]]:
             if shown:
                 VIDEO.parent.mkdir(exist_ok=True)
                 encode_video(VIDEO, shown[::2], FPS)
-                Image.fromarray(np.vstack([shown[i] for i in np.linspace(0, len(shown) - 1, 4).astype(int)])).save(
-                    VIDEO.with_suffix(".jpg"), quality=80
-                )
+                sheet = [shown[i] for i in np.linspace(0, len(shown) - 1, 4, dtype=int)]
+                Image.fromarray(np.hstack([np.vstack(sheet[:2]), np.vstack(sheet[2:])])).save(PICTURE, quality=80)
         found[policy.__name__] = {
             "tried": len(ends),
             "entered": sum(ends),
