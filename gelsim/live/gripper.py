@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gelsim.errors import SceneError
+from gelsim.live.environment import TactileEnv
 from gelsim.live.mujoco import Pad, Touch, add_pad
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
@@ -61,8 +60,6 @@ WORLD = """
   </actuator>
 </mujoco>
 """
-CONTROL_STEPS = 10
-"""Steps of the model to one of the environment: 20 ms."""
 PERIOD = 0.01
 """Between answers of a gel [s]."""
 CLOSING, LIFTING = 0.02, 0.05
@@ -89,45 +86,32 @@ def gripper(scene: Scene, mass: float) -> tuple[mujoco.MjModel, mujoco.MjData, T
     return model, data, touch
 
 
-class LiftEnv(gymnasium.Env):
-    """Lift an egg of unknown mass without breaking it.
+class LiftEnv(TactileEnv):
+    """Lift an egg of unknown mass without breaking it: "gelsim/Lift-v0".
 
-    Action: closing and lifting speed, (2,), of ±1: ±0.02 and ±0.05 m/s. Observation: "markers", their motion on both gels [px], (2, K, 2),
-    0 where one is out of the picture; "force", on both gels in their frames [N], (2, 3); "joints", closing of both fingers and height of
-    the hand [m], (2,); with `image` the pictures too, (2, H, W, 3). Reward: height gained [dm], and 1 where it is lifted or -1 where it
-    breaks, which both end an episode. `info["mass"]` [kg] is what the policy does not see.
+    Action: closing and lifting speed, (2,), of ±1: ±0.02 and ±0.05 m/s. Observation: "markers" and "image" of `TactileEnv`; "force", on
+    both gels in their frames [N], (2, 3); "joints", closing of both fingers and height of the hand [m], (2,). Reward: height gained [dm],
+    and 1 where it is lifted or -1 where it breaks, which both end an episode. `info["mass"]` [kg] is what the policy does not see.
     """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
 
     def __init__(self, scene: Scene | None = None, *, image: bool = False, render_mode: str | None = None) -> None:
         """Makes model and sensors.
 
         Args:
             scene: Of the gels; flat ones of 60 kPa with friction 0.5 by default.
-            image: Pictures in the observation; a sensor's first measures its light, a minute or two.
-            render_mode: None, or "rgb_array": `render()` draws the scene, which needs OpenGL.
+            image, render_mode: As of `TactileEnv`.
         """
-        self.model, self.data, self.touch = gripper(scene or build_scene(GEL), mass=MASSES[0])
-        self.render_mode, self._image = render_mode, image
-        self._thing = self.model.body("thing").id
-        self._rest = self._read()
-        self._renderer: mujoco.Renderer | None = None
-        shape = self._rest.shape
-        seen: dict[str, spaces.Space] = {
-            "markers": spaces.Box(-1e4, 1e4, shape, np.float32),
+        *_, touch = gripper(scene or build_scene(GEL), mass=MASSES[0])
+        measured: dict[str, spaces.Space] = {
             "force": spaces.Box(-1e3, 1e3, (2, 3), np.float32),
             "joints": spaces.Box(-1.0, 1.0, (2,), np.float32),
         }
-        if image:
-            seen["image"] = spaces.Box(0, 255, (2, *self.touch.pads[0].image().shape), np.uint8)
-        self.observation_space = spaces.Dict(seen)
+        super().__init__(touch, measured, image=image, render_mode=render_mode)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._thing = self.model.body("thing").id
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        super().reset(seed=seed)
-        mujoco.mj_resetData(self.model, self.data)
-        self.touch.reset()
+        self._clear(seed)
         mass = float(self.np_random.uniform(*MASSES))
         self.model.body_inertia[self._thing] *= mass / self.model.body_mass[self._thing]
         self.model.body_mass[self._thing] = mass
@@ -136,51 +120,25 @@ class LiftEnv(gymnasium.Env):
         return self._seen(), self._info()
 
     def step(self, action: NDArray) -> tuple[dict[str, NDArray], float, bool, bool, dict[str, Any]]:
-        before, broken = self._height(), False
+        before = self._height()
         self.data.ctrl[:] = np.clip(action, -1, 1) * (CLOSING, LIFTING)
-        for _ in range(CONTROL_STEPS):
-            try:
-                self.touch.step()
-            except SceneError:  # squeezed deeper than the gels answer for
-                broken = True
-                break
+        broken = not self._go()
         self._steps += 1
         broken |= max(-pad.wrench[2] for pad in self.touch.pads) > CRUSHED
         lifted = self._height() > LIFTED and not broken
         reward = 10 * (self._height() - before) + lifted - broken
         return self._seen(), float(reward), bool(broken or lifted), self._steps >= EPISODE_STEPS, self._info()
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        if self.render_mode is None:
-            return None
-        if self._renderer is None:
-            self._renderer = mujoco.Renderer(self.model, 240, 320)
-        self._renderer.update_scene(self.data, "view")
-        return self._renderer.render()
-
-    def close(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+    def measured(self) -> dict[str, NDArray]:
+        closing = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
+        return {
+            "force": np.stack([pad.wrench[:3] for pad in self.touch.pads]).astype(np.float32),
+            "joints": np.array([closing, self.data.joint("lift").qpos[0]], np.float32),
+        }
 
     def _height(self) -> float:
         """Of the thing over where it rests [m]."""
         return float(self.data.qpos[2] - self.model.qpos0[2])
-
-    def _read(self) -> NDArray:
-        """Marker centres of both gels now [px], (2, K, 2)."""
-        return np.stack([pad.sensor.marker_pixels() for pad in self.touch.pads])
-
-    def _seen(self) -> dict[str, NDArray]:
-        closing = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
-        seen: dict[str, NDArray] = {
-            "markers": np.nan_to_num(self._read() - self._rest).astype(np.float32),
-            "force": np.stack([pad.wrench[:3] for pad in self.touch.pads]).astype(np.float32),
-            "joints": np.array([closing, self.data.joint("lift").qpos[0]], np.float32),
-        }
-        if self._image:
-            seen["image"] = np.stack([pad.image() for pad in self.touch.pads])
-        return seen
 
     def _info(self) -> dict[str, Any]:
         return {"height": self._height(), "mass": float(self.model.body_mass[self._thing])}

@@ -27,6 +27,7 @@ import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -147,6 +148,15 @@ class Pad:
         self.sensor.reset()
         self.frame, self.patch, self.wrench = None, None, np.zeros(6)
 
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """What gel and object are at, to return to: whole, and never changed."""
+        return self.sensor.state, self.frame, self.patch, self.wrench, self._asked, self._place
+
+    @state.setter
+    def state(self, kept: tuple[Any, ...]) -> None:
+        self.sensor.state, self.frame, self.patch, self.wrench, self._asked, self._place = kept
+
     def look(self, data: mujoco.MjData, period: float) -> Answer:
         """Asks the gel, if its answer does not hold any more.
 
@@ -224,6 +234,20 @@ class Touch:
         """After `mujoco.mj_resetData`, or a new state: no pad remembers anything."""
         for pad in self.pads:
             pad.reset()
+
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """Of the model and of its pads, to return to; what the user changed in the model itself is not in it."""
+        kept = np.zeros_like(self._state)
+        mujoco.mj_getState(self.model, self.data, kept, STATE)
+        return kept, *(pad.state for pad in self.pads)
+
+    @state.setter
+    def state(self, kept: tuple[Any, ...]) -> None:
+        mujoco.mj_setState(self.model, self.data, kept[0], STATE)
+        mujoco.mj_forward(self.model, self.data)
+        for pad, state in zip(self.pads, kept[1:], strict=True):
+            pad.state = state
 
     def step(self) -> None:
         """One step of `model.opt.timestep`, in place of `mujoco.mj_step(model, data)`.

@@ -299,6 +299,7 @@ class LiveSensor:
             # Of a way that began in the air, the part from first touch on.
             anchor = anchor + drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
         window = layer.window(p.shape, state.window.thickness)
+        dragged = not self._friction  # a flat face that goes along the gel changes its shear alone
         for _ in range(gel_layer.ROUNDS):
             before = p
             lifted = window.lifted(q) if self._friction else np.float32(0.0)
@@ -308,12 +309,12 @@ class LiveSensor:
                 break
             thickness = gel.thickness_mm + float((p * (rest - self._thinning * (gap - room))).sum()) / total
             same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
-            if same and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
+            if same and dragged and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
                 break
             if not same:
                 window = window.at(thickness)
             if self._friction:
-                q = gel_layer.shear(window, window.spread(p) - anchor, np.float32(self._friction) * p, q)
+                q, dragged = gel_layer.shear(window, window.spread(p) - anchor, np.float32(self._friction) * p, q), True
         moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK * self._friction) * p) ** 2
         self._state = State(window, place, p, q, rest, moved, np.where(stuck, anchor, moved[:2]))

@@ -77,7 +77,7 @@ class Underside:
             for _ in range(CORRECTIONS):
                 last = np.where(z < FAR_MM / 2, z, 0.0)
                 one, other, z = look(last)
-                if np.abs(z - last).max() * (1.0 - rest[2, 2] ** 2) ** 0.5 < CLOSE_MM:
+                if np.abs(z - last).max() * max(0.0, 1.0 - rest[2, 2] ** 2) ** 0.5 < CLOSE_MM:
                     break
         turned = rest[2, 0] * one + rest[2, 1] * other + rest[2, 2] * z + shift[2]
         return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32)

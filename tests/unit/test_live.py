@@ -251,6 +251,15 @@ def test_history_slide_release_and_reset() -> None:
     assert np.array_equal(again[1].height, same[1].height) and np.array_equal(again[1].force, same[1].force)
 
 
+def test_a_flat_face_that_goes_along_the_gel_is_felt_at_once() -> None:
+    """Its pressure stays as it is: shear grows in each step of half a micrometre, up to the tolerance of the search for friction."""
+    sensor = LiveSensor(scene(0.5, shape="cylinder", radius_mm=4.0), image=False)
+    for _ in range(5):
+        at(sensor, 0, 0, -0.3)
+    shears = np.array([at(sensor, 0.0005 * step, 0, -0.3).force[0] for step in range(11)])
+    assert np.abs(shears / shears[-1] - np.arange(11) / 10).max() < 0.1  # of one step
+
+
 def test_many_small_steps_end_where_few_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sheared while pressed, in 8 and in 128 steps: within what 8 increments of friction are off by (2 % of the shear force)."""
 
