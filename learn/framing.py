@@ -139,6 +139,11 @@ def shown_mm(field: Sequence[float], picture: tuple[int, int]) -> float:
     return min(wide, high * picture[1] / picture[0])
 
 
+def signal_to_scale(signal: NDArray[np.float64], field: Sequence[float] | None, inputs: InputConfig) -> NDArray[np.float64]:
+    """Intensity changes of pictures that show `field` [mm] as those of FIELD_MM have them, where what changes is within both."""
+    return signal if field is None else signal * (shown_mm(field, inputs.picture) / FIELD_MM[0]) ** 2
+
+
 def to_scale(recording: Recording, field: Sequence[float] | None, inputs: InputConfig) -> Recording:
     """A recording of pictures that show `field` [mm], at the network's scale around its contact; as it is where the field is not known."""
     if field is None:

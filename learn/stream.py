@@ -19,7 +19,7 @@ from learn.augment import LOOK, choose_randomly, draw_look, randomise
 from learn.config import Config, LearnError
 from learn.data import Batch, Gel, Press, collate, gel_of, label_of
 from learn.frames import FIXED_POINT, equal_steps, loading
-from learn.framing import shown_mm
+from learn.framing import shown_mm, signal_to_scale
 from learn.recordings import Archive
 
 MOST_MEMORY = 0.5
@@ -35,9 +35,7 @@ class Stream:
     def __init__(self, archives: Sequence[Archive], config: Config, device: torch.device | str = "cpu") -> None:
         self._config, self._repeat = config, config.model.model == "paper"
         self._archives = archives
-        self._touching = [
-            [number for number in range(len(part)) if len(loading(part.signals[number], config.input)) > 0] for part in archives
-        ]
+        self._touching = [[number for number in range(len(part)) if self._shows_contact(part, number)] for part in archives]
         if not all(self._touching):
             raise DatasetError("no press to train on shows any contact")
         self.presses = sum(map(len, self._touching))
@@ -54,14 +52,15 @@ class Stream:
         for slot, position in enumerate(positions):
             pool, number = self.member(position)
             part, rng = self._archives[pool], np.random.default_rng([config.train.seed, 2, position])
-            signal = part.signals[number]
-            row, empty = part.rows[number], 0
+            row, signal, empty = part.rows[number], part.signals[number], 0
+            field = row.get("field_mm")
+            looks[slot] = draw_look(rng, config.augment, None if field is None else shown_mm(field, inputs.picture))
+            if looks[slot]["scaled"]:
+                signal = signal_to_scale(signal, field, inputs)
             if config.augment.augment:
                 frames, empty = choose_randomly(signal, rng, inputs, config.augment, self._repeat)
             else:
                 frames = equal_steps(signal, loading(signal, inputs), inputs.frames, self._repeat)
-            field = row.get("field_mm")
-            looks[slot] = draw_look(rng, config.augment, None if field is None else shown_mm(field, inputs.picture))
             members.append((pool, number))
             # The last one again where there are fewer: the contact is sought in the last.
             chosen[slot] = np.pad(1 + frames, (1, inputs.frames - len(frames)), mode="edge")
@@ -76,6 +75,12 @@ class Stream:
             targets, bounds, ranks = zip(*labels, strict=True)
             known = torch.tensor(targets, dtype=torch.float32), torch.tensor(bounds, dtype=torch.float32), torch.tensor(ranks)
             return _batch(stack, torch.tensor(lengths), *known, *told, inputs.deadband_levels)
+
+    def _shows_contact(self, part: Archive, number: int) -> bool:
+        """Whether a press does, at the network's scale and seen whole."""
+        inputs, signal = self._config.input, part.signals[number]
+        scaled = signal_to_scale(signal, part.rows[number].get("field_mm"), inputs)
+        return all(len(loading(seen, inputs)) > 0 for seen in (signal, scaled))
 
     def gels(self) -> list[Gel]:
         """The gel of each press, hidden from the network or not."""
