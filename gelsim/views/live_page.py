@@ -264,7 +264,7 @@ class LivePage:
         self._shapes = gui.add_dropdown("shape", names)
         size = _size(given.object)
         self._sizes = gui.add_slider("size [mm]", min(SIZES_MM[0], size), max(SIZES_MM[1], size), 0.25, size, hint="radius, or width")
-        self._sizes.visible = given.object.shape != "mesh"
+        self._sizes.visible = not given.object.mesh
         self._lights = gui.add_dropdown("light", ["baked", "direct", "path"], hint="direct and path: traced when the object rests")
         gui.add_button("Lift the object").on_click(lambda _: self._lift())
         self._told = gui.add_markdown("")
@@ -341,7 +341,7 @@ class LivePage:
 
 def _sized(body: Body, size: float) -> Body:
     """The object with the slider's size [mm]: its radius, or its width where it has none; a file has the size that it has."""
-    if body.shape == "mesh":
+    if body.mesh:
         return body
     if SHAPES[body.shape].has_radius:
         return replace(body, radius_mm=size, height_mm=max(body.height_mm, 2 * size))
