@@ -14,13 +14,27 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
-from gelsim.live.mujoco import Touch
+from gelsim.live.mujoco import Pad, Touch, add_pad
+from gelsim.scene.definition import Scene
 
 CONTROL_STEPS = 10
 """Steps of the model to one of an environment: 20 ms."""
 
 gymnasium.register("gelsim/Lift-v0", entry_point="gelsim.live.gripper:LiftEnv")
 gymnasium.register("gelsim/Insert-v0", entry_point="gelsim.live.insertion:InsertEnv")
+
+
+def between_fingers(spec: mujoco.MjSpec, thing: str, scene: Scene, period: float = 0.0) -> Touch:
+    """Compiles a model whose bodies "left" and "right" hold the body `thing`, with pads "left" and "right" on them.
+
+    Args:
+        period: Between answers of a gel [s], as of `Touch`.
+    """
+    sides = {"left": 0.5**0.5, "right": -(0.5**0.5)}  # z of each gel points at the other
+    for side, turn in sides.items():
+        add_pad(spec, spec.body(side), f"{side}_pad", scene, against=thing, quat=(0.5**0.5, 0.0, turn, 0.0))
+    model = spec.compile()
+    return Touch(model, mujoco.MjData(model), [Pad(model, f"{side}_pad", thing, scene) for side in sides], period)
 
 
 class TactileEnv(gymnasium.Env):

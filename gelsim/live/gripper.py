@@ -18,8 +18,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gelsim.live.environment import TactileEnv
-from gelsim.live.mujoco import Pad, Touch, add_pad
+from gelsim.live.environment import TactileEnv, between_fingers
+from gelsim.live.mujoco import Touch
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 
@@ -77,13 +77,9 @@ EPISODE_STEPS = 200
 def gripper(scene: Scene, mass: float) -> tuple[mujoco.MjModel, mujoco.MjData, Touch]:
     """Model, state and pads "left" and "right" of a gripper around a quail's egg of some mass [kg]; actuators "close" and "lift" [m/s]."""
     spec = mujoco.MjSpec.from_string(WORLD)
-    for side, turn in (("left", 0.5**0.5), ("right", -(0.5**0.5))):  # z of each gel points at the other
-        add_pad(spec, spec.body(side), f"{side}_pad", scene, against="thing", quat=(0.5**0.5, 0.0, turn, 0.0))
     spec.body("thing").geoms[0].mass = mass
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    touch = Touch(model, data, [Pad(model, f"{side}_pad", "thing", scene) for side in ("left", "right")], PERIOD)
-    return model, data, touch
+    touch = between_fingers(spec, "thing", scene, PERIOD)
+    return touch.model, touch.data, touch
 
 
 class LiftEnv(TactileEnv):

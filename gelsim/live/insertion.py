@@ -18,8 +18,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gelsim.live.environment import TactileEnv
-from gelsim.live.mujoco import Pad, Touch, add_pad
+from gelsim.live.environment import TactileEnv, between_fingers
+from gelsim.live.mujoco import Touch
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 
@@ -103,10 +103,7 @@ def inserter(scene: Scene) -> Touch:
         turn = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
         size = [RIM, half * (1 + 2 * RIM / HOLE), RIM]
         spec.body("plate").add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=out - [0, 0, RIM], quat=turn)
-    for side, turn in (("left", 0.5**0.5), ("right", -(0.5**0.5))):  # z of each gel points at the other
-        add_pad(spec, spec.body(side), f"{side}_pad", scene, against="peg", quat=(0.5**0.5, 0.0, turn, 0.0))
-    model = spec.compile()
-    return Touch(model, mujoco.MjData(model), [Pad(model, f"{side}_pad", "peg", scene) for side in ("left", "right")])
+    return between_fingers(spec, "peg", scene)
 
 
 class InsertEnv(TactileEnv):

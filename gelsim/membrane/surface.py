@@ -109,15 +109,19 @@ class Grid:
         self.places = np.stack([np.tile(along[0], rows), np.repeat(along[1], columns)], axis=1)
         """Rest x, y of the vertices [m], shape (M, 2)."""
         self._rest, self._uv = _at_rest(gel, self.places), self.places / size + 0.5
-        corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-        right, down, across = corner + 1, corner + columns, corner + columns + 1
-        # Normals +z.
-        self._faces = np.concatenate([np.stack([corner, right, across], 1), np.stack([corner, across, down], 1)]).astype(np.int32)
+        self._faces = grid_faces(rows, columns)
 
     def membrane(self, displacement: NDArray[np.floating], markers: NDArray[np.float64]) -> Membrane:
         """With vertices moved by `displacement` (M, 3) [m], and markers at (K, 3) [m]."""
         positions = self._rest + displacement
         return Membrane(positions, _normals(positions, self._columns), self._uv, self._faces, markers)
+
+
+def grid_faces(rows: int, columns: int) -> NDArray[np.int32]:
+    """Triangles (F, 3) of a grid whose vertices lie row by row, x to the right and y up; normals +z."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    right, up, across = corner + 1, corner + columns, corner + columns + 1
+    return np.concatenate([np.stack([corner, right, across], 1), np.stack([corner, across, up], 1)]).astype(np.int32)
 
 
 def _normals(positions: NDArray[np.float64], columns: int) -> NDArray[np.float64]:

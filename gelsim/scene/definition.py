@@ -202,7 +202,7 @@ class Body:
                 object.__setattr__(self, name, part(**getattr(row, name)))
 
 
-STICK = 10.0
+STICK = float(LIMITS["contact.friction_coefficient"][1])
 """Coefficient of friction of "stick", the largest that is allowed; no two materials have more. Without any bound a point that lifts off
 would drop its whole traction at once."""
 

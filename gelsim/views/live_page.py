@@ -33,7 +33,7 @@ from gelsim import optics
 from gelsim.data.episodes import field_seen
 from gelsim.errors import GelsimError, SceneError
 from gelsim.live.sensor import LiveFrame, LiveSensor
-from gelsim.membrane.surface import moved_membrane
+from gelsim.membrane.surface import grid_faces, moved_membrane
 from gelsim.pipeline import outputs
 from gelsim.scene.definition import Body, Press, Scene
 from gelsim.scene.layers import PRESET_SECTIONS, build_scene, preset_names
@@ -162,7 +162,7 @@ class LivePage:
         )
         still = sensor.step([*ABOVE[:3] * MM, *ABOVE[3:]], STEP_S)
         self._rest = still.height, still.marker_pixels
-        self._gel = self._server.scene.add_mesh_simple("/gel", self._points(still.height), _faces(*self._x.shape), color=GEL)
+        self._gel = self._server.scene.add_mesh_simple("/gel", self._points(still.height), grid_faces(*self._x.shape), color=GEL)
         self._start, self._curve, self._took = time.monotonic(), deque(maxlen=CURVE), deque(maxlen=RATE_OF)
         if self.recording:
             self.recording.begin(self.scene)
@@ -351,13 +351,6 @@ def _sized(body: Body, size: float) -> Body:
 def _size(body: Body) -> float:
     """What the slider says of an object [mm]."""
     return body.radius_mm if SHAPES[body.shape].has_radius else body.width_mm or SHAPES[body.shape].width_mm
-
-
-def _faces(rows: int, columns: int) -> NDArray[np.uint32]:
-    """Triangles of a grid, (F, 3), seen from above."""
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    right, up, across = corner + 1, corner + columns, corner + columns + 1
-    return np.concatenate([np.stack([corner, right, across], 1), np.stack([corner, across, up], 1)]).astype(np.uint32)
 
 
 def _colours() -> Picture:
