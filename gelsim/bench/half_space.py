@@ -49,6 +49,7 @@ def known() -> Iterator[Known]:
         yield Known(text, partial(_long, radius, depth), 0.05, "Long et al. 2011, a fit of some per cent", "N", quick=depth == 0.6)
     yield Known("no friction, 0.3 mm sheared: traction", _no_friction, 1e-12, "exact")
     yield Known("no friction, 0.3 mm sheared: shear force over normal force", _no_shear, 0.01, "exact on a flat gel")
+    yield Known("friction 10 against stick: shear force", _stick, 0.02, "the limit of friction", "N")
     for name in ("soft, smooth", "sheared at friction 0.3"):
         yield Known(f"window and contact, {name}: force out of balance", partial(_balance, name), 2e-3, "exact")
         yield Known(f"work, {name}: not stored, dissipated or in the overlap", partial(_energy, name), 0.01, "exact", "J")
@@ -224,6 +225,11 @@ def _no_friction() -> tuple[float, float, float]:
 def _no_shear() -> tuple[float, float, float]:
     force = _sheared(0.0)[1].force[-1]
     return abs(float(force[0] / force[2])), 0.0, 1.0
+
+
+def _stick() -> tuple[float, float, float]:
+    high, stick = (float(_sheared(friction)[1].force[-1, 0]) for friction in (10.0, "stick"))
+    return high, stick, stick
 
 
 def _balance(name: str) -> tuple[float, float, float]:

@@ -120,13 +120,13 @@ class ContactLaw:
     smoothing: float
     """ε [mm]."""
     friction: float
-    """μ; 0 for none."""
+    """μ; 0 for none, -1 for sticking."""
     stick_stiffness: float
     """k_t·h [kPa], likewise."""
 
     def slip_bound(self, pressure: Array) -> Array:
-        """Tractions [kPa] that friction bears at pressures [kPa], as `contact_kernels.slip_bound`."""
-        return self.friction * pressure
+        """Tractions [kPa] that friction bears at pressures [kPa], as `contact_kernels.slip_bound`; inf where nothing slides."""
+        return self.friction * pressure if self.friction >= 0.0 else np.full_like(pressure, np.inf)
 
     def slip_bound_slope(self, pressure: Array) -> Array:
         """Its derivative, as `contact_kernels.slip_bound_slope`; of sliding points alone."""

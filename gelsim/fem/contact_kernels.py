@@ -143,7 +143,9 @@ def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
 
 @wp.func
 def slip_bound(mu: wp.float64, p: wp.float64) -> wp.float64:
-    """Traction that friction bears at a pressure, by Coulomb's law."""
+    """Traction that friction bears at a pressure, by Coulomb's law; μ < 0: any."""
+    if mu < wp.float64(0.0):
+        return wp.float64(1.0e300)
     return mu * p
 
 

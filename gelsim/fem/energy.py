@@ -11,7 +11,7 @@
 so drift = (W - (E - X) - D - C)/W is zero but for the size of the load steps and Newton's tolerance. W in the denominator is all work that
 was ever done, not less what a release gave back. R·du/dt over time is integrated by monotone cubics through the load steps of each leg of
 the motion (for a power law of 1.2 to 2.5 and five steps within 0.1 %), by a power law through a lone one, and on either side of where a
-press goes on.
+press goes on. With "stick", D is what friction's own penalty gives way.
 
 A point that touches for the first time counts its slip since the step began, as the contact law does: long load steps make D too large.
 """

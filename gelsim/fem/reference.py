@@ -235,7 +235,7 @@ def friction_force(nodes: Array, at: Array, xi: Array, multiplier: float, law: C
 
 
 def friction_traction(slip: Array, normal: Array, shift: Array, law: ContactLaw, pressure: Array) -> Array:
-    """Traction [kPa] (3,) that the gel exerts on the object: λ_t + k_t e in the tangent plane, cut back to μp.
+    """Traction [kPa] (3,) that the gel exerts on the object: λ_t + k_t e in the tangent plane, cut back to μp (μ < 0: never).
 
     Args:
         slip: e, what the point has moved against the place on the object that it touched when the load step began (3,) [mm].
@@ -244,6 +244,6 @@ def friction_traction(slip: Array, normal: Array, shift: Array, law: ContactLaw,
     trial = shift + law.stick_stiffness * slip
     trial = trial - normal * (normal @ trial)
     size = np.sqrt((trial * trial).sum())
-    if size.real > law.friction * pressure.real:
+    if law.friction >= 0 and size.real > law.friction * pressure.real:
         trial = trial * (law.friction * pressure / size)
     return trial

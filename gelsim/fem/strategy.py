@@ -24,11 +24,15 @@ class Try:
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     most_wasted: int | None = None
     """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
-    least_friction: float = 0.0
-    """The smallest μ."""
+    friction: tuple[float, float] | None = None
+    """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
     goes_on: bool = False
     """Begins where the try before it ended, not at rest."""
 
+
+STICK = 10.0
+"""μ that stands for sticking where that failed: without any bound a point that lifts off drops its whole traction at once, and where a
+step's solution lies on that jump Newton finds none."""
 
 GRIP = 0.3
 """μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
@@ -36,7 +40,7 @@ GRIP = 0.3
 SOON = 30
 """Failed iterations after which another try goes on from where one stands: some two solves."""
 
-PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0), Try(12, held=20.0, least_friction=GRIP)
+PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
 
 
 def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
@@ -69,15 +73,18 @@ def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> 
 
 def ways(scene: Scene) -> list[Try]:
     """The tries that a scene may have, one after the other until one reaches its end."""
-    slips = scene.contact.friction < GRIP
+    friction = scene.contact.friction_coefficient
+    slips = not isinstance(friction, str) and friction < GRIP
     return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD, *([GRIPPED] if slips else [])]
 
 
 def tried(scene: Scene, way: Try) -> Scene:
     """The scene as it is solved."""
-    if scene.contact.friction >= way.least_friction:
+    if way.friction is None:
         return scene
-    return scene.replace(contact=replace(scene.contact, friction_coefficient=way.least_friction))
+    asked, (least, stick) = scene.contact.friction_coefficient, way.friction
+    friction = max(asked, least) if isinstance(asked, float | int) else stick
+    return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
 
 
 def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> None:

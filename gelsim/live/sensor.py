@@ -46,6 +46,8 @@ WINDOW = 8
 """Cells by which the part of the grid that is looked at grows."""
 STUCK = 0.999
 """Of the frictional bound, below which it sticks."""
+STICK = 1e3
+"""Coefficient of friction that stands for "stick"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,7 @@ class LiveSensor:
             [np.gradient(self._rest, cell, axis=axis) for axis, cell in ((1, self._layer.cell[0]), (0, self._layer.cell[1]))]
         )
         self._object = Underside(scene.object)
-        self._friction = scene.contact.friction
+        self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
         self._thinning = gel_layer.THINNING if self._friction else 0.0
         centres = marker_layout(scene).centres
         self._markers = np.column_stack([centres, gel_height(gel, centres)])

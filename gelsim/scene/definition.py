@@ -202,20 +202,10 @@ class Body:
                 object.__setattr__(self, name, part(**getattr(row, name)))
 
 
-STICK = float(LIMITS["contact.friction_coefficient"][1])
-"""Coefficient of friction of "stick", the largest that is allowed; no two materials have more. Without any bound a point that lifts off
-would drop its whole traction at once."""
-
-
 @dataclass(frozen=True)
 class Contact:
     friction_coefficient: float | str = 0.8
-    """0 = frictionless, "stick" = 10, with which what is pressed hardly slides."""
-
-    @property
-    def friction(self) -> float:
-        """The coefficient as a number."""
-        return STICK if isinstance(self.friction_coefficient, str) else float(self.friction_coefficient)
+    """0 = frictionless, "stick" = no sliding."""
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ def along_the_objects(nodes: Array, data: tuple) -> Array:  # type: ignore[type-
     return np.outer(np.concatenate([-shares[0], shares[1], np.zeros(6)]), force)
 
 
-CASES = [(0.0, 0.0, False), (10.0, 0.003, False), (5.0, 0.001, False), (MU, 0.01, True)]
+CASES = [(0.0, 0.0, False), (-1.0, 0.003, False), (5.0, 0.001, False), (MU, 0.01, True)]
 CURVED, LAWS = pytest.mark.parametrize("curved", [False, True]), pytest.mark.parametrize(("friction", "shear", "slips"), CASES)
 
 
@@ -229,7 +229,7 @@ class RigidPair(Pair):
         self.contact = RigidContact(self.contact.slave_faces, corners, self.x, field, self.contact.law, "cpu", 6)
 
 
-@pytest.mark.parametrize(("friction", "shear"), [(10.0, 0.01), (MU, 0.01)], ids=["stick", "slip"])
+@pytest.mark.parametrize(("friction", "shear"), [(-1.0, 0.01), (MU, 0.01)], ids=["stick", "slip"])
 def test_whole_tangent_under_a_rigid_body(friction: float, shear: float) -> None:
     """Of the gel's forces by its own motion, as the body is driven; what is assembled has the body's curvature already."""
     pair = RigidPair(friction)
@@ -246,7 +246,7 @@ def test_whole_tangent_under_a_rigid_body(friction: float, shear: float) -> None
     assert off(assembled, numeric) > SEEN and off(assembled - rest, numeric) > SEEN
 
 
-@pytest.mark.parametrize("friction", [0.0, 10.0, MU])
+@pytest.mark.parametrize("friction", [0.0, -1.0, MU])
 @pytest.mark.parametrize("roof", [False, True])
 def test_force_is_continuous_over_an_edge(roof: bool, friction: float) -> None:
     """Between faces of a ball, or over the ridge of a roof of 45°: the gel moves 1 nm, one of its points from one side to the other."""
@@ -270,7 +270,7 @@ def test_force_is_continuous_over_an_edge(roof: bool, friction: float) -> None:
     assert faces[0] != faces[1] and min(met) > 0.0, "the point must go over, or nothing is shown"
     # Of a point w (Σ|m| + Σ|N|) (dp + dt) at most, Σ|N| ≤ 5/3, dp = k δ tan 45°, dt = (k μ + k_t) δ, and w p Σ|dN|, 16 δ/edge at most.
     k, stick = (np.repeat(a.numpy(), c.points) for a in (c.stiffness, c.stick))
-    rate = 10 / 3 * ((1 + friction) * k + stick) + 16 / EDGE * (1 + friction) * c.pressure.numpy()
+    rate = 10 / 3 * ((1 + max(friction, 0.0)) * k + stick) + 16 / EDGE * (1 + abs(friction)) * c.pressure.numpy()
     traction = np.linalg.norm(c.traction.numpy(), axis=1) * 16 / EDGE
     bound = delta * (c.rest_weight * (rate + traction)).sum()
     assert np.linalg.norm(forces[1] - forces[0], axis=1).sum() < bound
@@ -335,7 +335,7 @@ def test_penalty_law() -> None:
 
 def test_friction_is_kept_from_step_to_step() -> None:
     """Over a ridge contact ends within faces; the next step begins with what the last one ended with."""
-    pair = Pair(10.0, False, overlap=0.4, slope=1.0)
+    pair = Pair(-1.0, False, overlap=0.4, slope=1.0)
     moved = pair.slide(0.05)
     contact = pair.contact
     held = contact.pressure.numpy() > 0

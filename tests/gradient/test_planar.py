@@ -186,7 +186,7 @@ def test_contact_force_is_the_derivative_of_its_potential(curved: bool) -> None:
 
 
 @pytest.mark.parametrize("curved", [True, False])
-@pytest.mark.parametrize(("friction", "shear"), [(0.0, 0.0), (10.0, 0.003), (0.4, 0.05)], ids=["none", "stick", "slip"])
+@pytest.mark.parametrize(("friction", "shear"), [(0.0, 0.0), (-1.0, 0.003), (0.4, 0.05)], ids=["none", "stick", "slip"])
 def test_contact_tangent_is_the_derivative_of_its_force(curved: bool, friction: float, shear: float) -> None:
     pair = Pair(friction, curved)
     x = pair.settled(shear)
@@ -199,7 +199,7 @@ def test_contact_tangent_is_the_derivative_of_its_force(curved: bool, friction: 
     # with the object
     bound = 5e-3 if friction == 0.0 else 0.03
     assert difference < bound
-    if shear == 0.05:  # it slips
+    if friction > 0:
         pair.force(x)
         assert np.abs(pair.tangent(x, coupling=False) @ direction[free] - wanted).max() / np.abs(wanted).max() > 2 * bound
     elif curved:

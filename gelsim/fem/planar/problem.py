@@ -78,7 +78,9 @@ class PlanarProblem(PressProblem):
         self.memory = None
         self.shear = each([material.mu * KPA_PER_PA for _, material, _ in meshes])
         softest = min(material.youngs_modulus for _, material, _ in meshes) * KPA_PER_PA
-        self.law = ContactLaw(PENALTY_PER_MODULUS * softest, SMOOTHING_MM, scene.contact.friction, STICK_PER_MODULUS * softest)
+        mu = scene.contact.friction_coefficient
+        friction = -1.0 if mu == "stick" else float(mu)
+        self.law = ContactLaw(PENALTY_PER_MODULUS * softest, SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         edges = (body.groups["contact"] + n).astype(np.int32)
         self.contact = EdgeContact(gel.groups["coated"], edges, rest, self.law, self.turned)
         self.options = NewtonOptions(tolerance or TOLERANCES[scene.fidelity])
