@@ -285,9 +285,9 @@ STICKY = build_scene({
 """A soft ball with friction, sheared."""
 
 
-def made_sticky(contact_points: int = 12, held: float = 0.0) -> PressProblem:
-    numerics = Numerics(contact_points=contact_points, held=held)
-    return PressProblem(STICKY, *stages.bodies(STICKY), press_materials(STICKY), "cpu", numerics)
+def made_sticky(contact_points: int = 12, held: float = 0.0, frames: int = 5) -> PressProblem:
+    numerics, scene = Numerics(contact_points=contact_points, held=held), STICKY.replace(press=replace(STICKY.press, frames=frames))
+    return PressProblem(scene, *stages.bodies(scene), press_materials(scene), "cpu", numerics)
 
 
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
@@ -304,7 +304,7 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
     begun = run_press(first, course=course, throw=False)
     assert begun.lost and course.before is not None
     whole = run_batch([second], courses=[course])[0] if batched else run_press(second, course=course)
-    assert whole.status is SolveStatus.CONVERGED and whole.approach == pytest.approx(np.arange(5) * 0.2 * MM)
+    assert whole.status is SolveStatus.CONVERGED and whole.approach == pytest.approx(np.linspace(0, 0.8, second.scene.press.frames) * MM)
     return begun, whole
 
 
@@ -331,7 +331,8 @@ def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> Non
 def test_energy_that_stiffer_tets_hold_is_told_apart(batched: bool) -> None:
     """Where volume comes to be held three quarters of the way down, the bodies hold more energy at the same approach: no work of the
     platen's, and no drift."""
-    _, whole = goes_on(made_sticky(), made_sticky(held=20.0), 0.61, batched)
+    # In steps of 0.2 mm work and friction's loss are off by 0.002 to 0.003 themselves, by the mesh that is drawn; of 0.1 mm by 0.0004.
+    _, whole = goes_on(made_sticky(frames=9), made_sticky(held=20.0, frames=9), 0.61, batched)
     energy = whole.info["energy"]
     assert isinstance(energy, dict) and energy["changed_j"] > 0.01 * energy["work_j"]  # found: 0.017
     assert abs(energy["drift"]) < 0.003  # found: 0.001; as part of what is stored it made it -0.017
