@@ -37,6 +37,8 @@ _DRAWN_VERSION = 1
 """Of the light that is drawn here."""
 _AT_ONCE = 6
 """Episodes that a process reads before it reports, at least; those of a press stay together, for their surface is prepared once."""
+DRAWING_SECONDS = 150.0
+"""Allowed for so many on a GPU, which take 2 to 25 s: the last workers of three crews that shared four H100 stood still for good."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -260,7 +262,8 @@ def _fill(home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[i
     else:
         # Fresh processes of one core each: they load neither torch nor what this one has in memory.
         arguments = (dataset.folder, inputs, target, light)
-        for handful, part in work_through(left, LocalCrew(reading.workers, gpus=gpus), _make_worker, arguments, _lost):
+        crew, limit = LocalCrew(reading.workers, gpus=gpus), {"still": True, "seconds": DRAWING_SECONDS} if gpus else {}
+        for handful, part in work_through(left, crew, _make_worker, arguments, _lost, **limit):
             if isinstance(part, str):
                 raise DatasetError(part)
             told(handful, part)

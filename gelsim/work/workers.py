@@ -184,6 +184,7 @@ def work_through(
     arguments: tuple[Any, ...],
     lost: Callable[[Handful, str, str], T],
     still: bool = False,
+    seconds: float = SECONDS,
 ) -> Iterator[T]:
     """Lets a crew do all handfuls; yields each as it is done, in whatever order.
 
@@ -192,6 +193,7 @@ def work_through(
         lost: Says what becomes of a handful (status, message) whose workers died or took too long.
         still: Whether all are replaced when nobody answers for long (STILL, QUIET), or two end TOGETHER, each over a piece that ended none
             before: for workers that share a GPU. Those of several GPUs count as of one.
+        seconds: Allowed for a handful. One that takes longer is lost, or where workers share a GPU, which may have stopped, done anew.
     Raises:
         WorkError: Workers end before they begin.
     """
@@ -218,7 +220,7 @@ def work_through(
             all_of_them = None
             if still and len(deaths) == 2 and deaths[1] - deaths[0] < TOGETHER:
                 all_of_them = "DIED", "others that share its GPU ended"
-            elif still and quiet > max(_allowed(busy, took), 0.0 if left else 2.0 * slowest):
+            elif still and quiet > max(_allowed(busy, took, seconds), 0.0 if left else 2.0 * slowest):
                 all_of_them = "TIMEOUT", f"no worker answered for {quiet:.0f} s"
             if all_of_them:  # who has answered is heard first
                 _end([place for place in places if place.again is None and place.worker not in ready])
@@ -242,8 +244,8 @@ def work_through(
                             place.handful = None
                             yield done
                         place.begun = True
-                elif place.busy and now - place.since > SECONDS:
-                    trouble, innocent = ("TIMEOUT", f"not done after {SECONDS:g} s"), False
+                elif place.busy and now - place.since > seconds:
+                    trouble, innocent = ("TIMEOUT", f"not done after {seconds:g} s"), still
                 if trouble:
                     if not all_of_them or place.worker in ready:
                         _end([place])
@@ -281,11 +283,11 @@ def _end(some: Sequence[_Place]) -> None:
         place.worker.gone(until)
 
 
-def _allowed(busy: Sequence[_Place], took: Sequence[float]) -> float:
-    """Seconds without any answer that are no standstill, by what pieces took since the crew began."""
+def _allowed(busy: Sequence[_Place], took: Sequence[float], seconds: float) -> float:
+    """Seconds without any answer that are no standstill, by what pieces took since the crew began; `seconds` are allowed for each."""
     if len(busy) >= SECONDS / STILL and len(took) >= len(busy) and all(place.begun for place in busy):
         return max(QUIET, TIMES * sum(took) / len(took) / len(busy))
-    return max(STILL, SECONDS / len(busy)) * (1 if took else 2)
+    return max(STILL, seconds / len(busy)) * (1 if took else 2)
 
 
 def check_count(workers: int) -> None:

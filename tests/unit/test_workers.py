@@ -84,7 +84,7 @@ class Crew:
 def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[int], dict[int, str]]]:
     """Works through so many pieces; those done and those lost, each with why."""
 
-    def go(crew: Crew, pieces: int, still: bool = True) -> tuple[list[int], dict[int, str]]:
+    def go(crew: Crew, pieces: int, still: bool = True, seconds: float = workers.SECONDS) -> tuple[list[int], dict[int, str]]:
         def sleep(seconds: float) -> None:
             crew.now += seconds
 
@@ -95,7 +95,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[int], dict[
         def told(handful: Handful, status: str, _: str) -> None:
             lost[handful[0]] = status
 
-        made = work_through([(number,) for number in range(pieces)], crew, dict, (), told, still)
+        made = work_through([(number,) for number in range(pieces)], crew, dict, (), told, still, seconds)
         done = [item[0] for item in made if item is not None]
         assert all(worker.ended for worker in crew.started)
         assert sorted([*done, *lost]) == list(range(pieces))  # nothing twice, nothing forgotten
@@ -252,6 +252,20 @@ def test_a_standstill_at_the_end_replaces_who_has_nothing_to_do_too(run: Callabl
     crew = Crew(32, lambda worker, handful: ("done", 3.0) if handful is None else stops(worker, 10.0, 15.0))
     done, lost = run(crew, 49)
     assert not lost and len(crew.started) == 64
+
+
+@pytest.mark.parametrize(("still", "lost"), [(True, {}), (False, {399: "TIMEOUT"})])
+def test_the_last_that_stands_still_is_not_waited_for_half_an_hour(still: bool, lost: dict[int, str], run: Callable) -> None:
+    """Pieces of a few seconds that may take 150: the last one's worker stands still, a fresh one does it."""
+
+    def says(worker: Made, handful: Handful | None) -> Ends:
+        return "done", NEVER if handful == (399,) and worker.number < 16 else 4.0
+
+    crew = Crew(16, says)
+    found, gone = run(crew, 400, still, seconds=150.0)
+    assert gone == lost and len(found) == 400 - len(lost)
+    # Beginning and 25 rounds of 4 s, the 150 s; then a pause of 1 s, a beginning, the piece; each noticed within 1 s.
+    assert crew.now < 26 * 4.0 + 150.0 + (1.0 + 2 * 4.0) + 4 * 1.0
 
 
 def test_all_that_stand_still_before_the_first_answer_are_waited_for_longer(run: Callable) -> None:
