@@ -243,6 +243,12 @@ def _parser() -> Parser:
         metavar="N",
         help="take test rows from the first N episodes only; beyond, presses are left out that no training sees (default: all)",
     )
+    dataset.add_argument(
+        "--train-episodes",
+        type=int,
+        metavar="N",
+        help="likewise presses to train on and to validate: 0 makes test rows alone (default: all)",
+    )
     dataset.add_argument("--out", metavar="DIR", required=True, help="folder of the dataset")
     dataset.add_argument("--seed", type=int, metavar="N", default=0, help="another number, another dataset (default: 0)")
     dataset.add_argument("--workers", type=int, metavar="K", help="processes (default: one per core, two where GPUs solve presses)")
@@ -610,8 +616,9 @@ def _friction(text: str) -> float | str:
 def _dataset(options: argparse.Namespace) -> dict[str, Any]:
     if sum(given is not None for given in (options.episodes, options.light_of, options.real)) > 1:
         raise SceneError("dataset: --episodes N of a plan, --light-of DIR and --real DIR exclude each other")
-    if options.test_episodes is not None and (options.light_of or options.real):
-        raise SceneError("dataset: --test-episodes N goes with a plan")
+    for flag, most in (("test", options.test_episodes), ("train", options.train_episodes)):
+        if most is not None and (options.light_of or options.real):
+            raise SceneError(f"dataset: --{flag}-episodes N goes with a plan")
     if options.real:
         from gelsim.generate import real
 
@@ -651,6 +658,7 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
             device=options.device,
             light=not options.no_light,
             test_episodes=options.test_episodes,
+            train_episodes=options.train_episodes,
             progress=progress,
         )
     if not options.json:

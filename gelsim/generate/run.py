@@ -63,6 +63,7 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
     device: str = "cpu",
     light: bool = True,
     test_episodes: int | None = None,
+    train_episodes: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Makes a dataset; returns what the command reports.
@@ -74,7 +75,7 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
         ray: Address of a Ray cluster that works instead of this machine.
         device: Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers.
         light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
-        test_episodes: Beyond this index only presses that are trained on or validated; None: all.
+        test_episodes, train_episodes: Beyond this index no presses of test rows, none that are trained on or validated; None: all.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
             what was done is kept.
@@ -82,17 +83,22 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
     catalogue = Catalogue(load_plan(plan), seed)
     if not 1 <= episodes <= MOST_EPISODES:
         raise SceneError(f"--episodes {episodes}: allowed is 1 … {MOST_EPISODES}")
-    if test_episodes is not None and test_episodes < 0:
-        raise SceneError(f"--test-episodes {test_episodes}: expected 0 or more")
+    for flag, most in (("test", test_episodes), ("train", train_episodes)):
+        if most is not None and most < 0:
+            raise SceneError(f"--{flag}-episodes {most}: expected 0 or more")
     crew = crew_of(workers, device, ray)
     start = time.perf_counter()
     info = _info(catalogue, light)
     book = Book(out, info, resume)
     ends = len(catalogue.plan.end_points)
+    within = test_episodes, train_episodes
+    all_of = min(episodes if most is None else most for most in within)  # beyond, a press must be drawn to know its split: milliseconds
     wanted = {
         number: [end for end in range(ends) if number * ends + end < episodes]
         for number in range(-(-episodes // ends))
-        if test_episodes is None or number * ends < test_episodes or catalogue.press(number).split in SPLITS_LEARNT
+        if number * ends < all_of
+        or (most := within[catalogue.press(number).split in SPLITS_LEARNT]) is None
+        or number * ends < most
     }
     asked = {number * ends + end for number, of_press in wanted.items() for end in of_press}
     todo = {

@@ -310,6 +310,7 @@ def test_folders_that_cannot_be_used(tmp_path: Path):
         ({"workers": 0}, "--workers 0"),
         ({"device": "tpu"}, "--device tpu"),
         ({"test_episodes": -1}, "--test-episodes -1"),
+        ({"train_episodes": -1}, "--train-episodes -1"),
     ):
         with pytest.raises(SceneError, match=said):
             generate(TINY, **({"episodes": 2, "out": tmp_path / "new"} | wrong))
@@ -451,6 +452,9 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
     assert generate(TINY, 6, tmp_path / "part", seed=3, workers=1, light=False, test_episodes=2)["failed"] == 0
     told_of = {folder: [(row["index"], row["split"]) for row in load_dataset(folder).rows] for folder in (dark, tmp_path / "part")}
     assert told_of[tmp_path / "part"] == [each for each in told_of[dark] if each[0] < 2 or each[1] == "train"] != told_of[dark]
+    tests = [each for each in told_of[dark] if each[1] != "train"]
+    assert generate(TINY, 6, tmp_path / "tests", seed=3, workers=1, light=False, train_episodes=0)["asked"] == len(tests) > 0
+    assert [(row["index"], row["split"]) for row in load_dataset(tmp_path / "tests").rows] == tests
     generate(TINY, 6, tmp_path / "part", seed=3, workers=1, light=False, resume=True)
     assert contents(tmp_path / "part") == contents(dark)
     with pytest.raises(SceneError, match="its resolution is"):
