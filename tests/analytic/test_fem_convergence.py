@@ -2,8 +2,8 @@
 
     u = a ((3 − 4ν) b e_z − z ∇b),   p = κ div u = a κ (2 − 4ν) ∂b/∂z,   b = exp(kx) cos(0.6 ky) cos(0.8 kz), which is harmonic,
 
-(Barber, Elasticity, ch. 21) needs no body force. With it prescribed on the boundary of a block, quadratic displacements have errors of third
-order in the edge, and linear pressures of second, in the L2 norm (Boffi, Brezzi, Fortin 2013, ch. 8: Taylor–Hood).
+(Barber, Elasticity, ch. 21) needs no body force. With it prescribed on the boundary of a block, quadratic displacements have errors of
+third order in the edge, and linear pressures of second, in the L2 norm (Boffi, Brezzi, Fortin 2013, ch. 8: Taylor–Hood).
 """
 
 from __future__ import annotations
