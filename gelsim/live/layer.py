@@ -20,7 +20,6 @@ the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single pr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -225,9 +224,9 @@ class Window:
         """How deep a pressure alone presses the face [mm]."""
         return self._back(self.answers[0] * self._there(pressure))
 
-    def drawn(self, shear: Values) -> Values:
-        """How far tangential tractions along x alone move the face along x [mm]."""
-        return self._back(self.answers[1] * self._there(shear))
+    def alone(self, tractions: Values) -> Values:
+        """How deep a pressure presses the face, and how far a traction along x moves it along x, each alone [mm]: one or two, likewise."""
+        return self._back(self.answers[: len(tractions)] * self._there(tractions))
 
     def dragged(self, shear: Values) -> Values:
         """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""
@@ -323,25 +322,27 @@ def shear(window: Window, away: Values, bound: Values, start: Values) -> Values:
     return q
 
 
-def punch(answer: Callable[[Values], Values], cells: NDArray[np.bool_]) -> Values:
-    """Traction on some cells [kPa/mm] that moves all of them alike, by conjugate gradients; 0 on the others.
+def punch(window: Window, cells: NDArray[np.bool_], *, shear: bool) -> Values:
+    """Tractions on some cells [kPa/mm] that move all of them alike, by conjugate gradients; 0 on the others.
 
-    Args:
-        answer: Motion of the cells [mm] by tractions [kPa].
+    Returns:
+        A pressure, and with `shear` a traction along x too: (1 or 2, rows, columns).
     """
-    traction = np.zeros(cells.shape, np.float32)
-    left = cells.astype(np.float32)
-    way, size = left, float(np.vdot(left, left))
-    allowed = PUNCH_TOLERANCE**2 * size
+
+    def size_of(one: Values, other: Values) -> Values:
+        return np.einsum("kij,kij->k", one, other)[:, None, None]
+
+    left = np.repeat(cells[None].astype(np.float32), 2 if shear else 1, axis=0)
+    traction, way, size = np.zeros_like(left), left, size_of(left, left)
+    allowed, least = PUNCH_TOLERANCE**2 * size, np.float32(1e-30)
     for _ in range(STEPS):
-        if size <= allowed:
+        if (size <= allowed).all():
             break
-        moved = answer(way) * cells
-        step: Any = np.float32(size / float(np.vdot(way, moved)))
+        moved = window.alone(way) * cells
+        step = size / np.maximum(size_of(way, moved), least)
         traction, left = traction + step * way, left - step * moved
-        before, size = size, float(np.vdot(left, left))
-        turn: Any = np.float32(size / before)
-        way = left + turn * way
+        before, size = size, size_of(left, left)
+        way = left + size / np.maximum(before, least) * way
     return traction
 
 

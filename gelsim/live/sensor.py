@@ -101,7 +101,7 @@ class State:
         rows, columns = self.place
         row, column = np.nonzero(self.pressure)
         x, y = self.window.layer.x[columns], self.window.layer.y[rows]
-        return np.column_stack([x[column], y[row], (self.rest + self.moved[2])[row, column]])
+        return np.stack([x[column], y[row], (self.rest + self.moved[2])[row, column]]).T
 
     @cached_property
     def field(self) -> Values:
@@ -244,16 +244,16 @@ class LiveSensor:
         touching = state.pressure > 0
         cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
         per_metre = cell / MM  # kPa/mm to N/m
-        window = state.window
-        normal = gel_layer.punch(window.sunk, touching)
-        shear = gel_layer.punch(window.drawn, touching) if self._friction else 0 * normal
+        springs = np.zeros((touching.sum(), 2))
+        found = gel_layer.punch(state.window, touching, shear=self._friction > 0)
+        springs[:, : len(found)] = found[:, touching].T * per_metre
         return Patch(
             state.points * MM,
             (state.pressure[touching] * cell).astype(float),
             (state.shear[:, touching].T * cell).astype(float),
             self._slope[:, *state.place][:, touching].T.astype(float),
             self._friction,
-            np.column_stack([normal[touching], shear[touching]]).astype(float) * per_metre,
+            springs,
         )
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
@@ -343,7 +343,7 @@ class LiveSensor:
         p = state.pressure[touching]
         # Pressure acts along the normal of the gel at rest, as its work on a dome has it.
         tangential = state.shear[:, touching] + p * self._slope[:, *state.place][:, touching]
-        traction = np.column_stack([*tangential, -p]).astype(np.float64) * area
+        traction = (np.stack([*tangential, -p]).astype(np.float64) * area).T
         return LiveFrame(
             self.image() if self._draws else None,
             traction.sum(axis=0),

@@ -63,24 +63,28 @@ class Underside:
             turn, shift: The pose, p -> turn p + shift [mm].
         """
         rest = self._remaining(turn)
-        across, along = np.meshgrid(x - shift[0], y - shift[1])
+        across, along = (way.ravel() for way in np.meshgrid(x - shift[0], y - shift[1]))
         back = np.linalg.inv(rest[:2, :2])
 
-        def look(z: Array | float) -> tuple[Array, Array, Array]:
-            """Places of the map that a height there puts over the places asked for, and the height that they have."""
+        def look(across: Array, along: Array, z: Array | float) -> Array:
+            """Places of the map that a height there puts over the places asked for, and the height that they have: (3, ...)."""
             one, other = across - rest[0, 2] * z, along - rest[1, 2] * z
             one, other = back[0, 0] * one + back[0, 1] * other, back[1, 0] * one + back[1, 1] * other
-            return one, other, self._read(one, other)
+            return np.stack([one, other, self._read(one, other)])
 
-        one, other, z = look(0.0)
-        if np.abs(rest[2, :2]).max() > 1e-9:
+        found = look(across, along, self._lowest)
+        if (lean := max(0.0, 1.0 - rest[2, 2] ** 2) ** 0.5) > 1e-9:
+            last, going = np.full(len(across), self._lowest), slice(None)
             for _ in range(CORRECTIONS):
-                last = np.where(z < FAR_MM / 2, z, 0.0)
-                one, other, z = look(last)
-                if np.abs(z - last).max() * max(0.0, 1.0 - rest[2, 2] ** 2) ** 0.5 < CLOSE_MM:
+                now = np.where(found[2, going] < FAR_MM / 2, found[2, going], last)
+                far = np.abs(now - last) * lean >= CLOSE_MM
+                if not far.any():
                     break
+                going, last = np.arange(len(across))[going][far], now[far]
+                found[:, going] = look(across[going], along[going], last)
+        one, other, z = found
         turned = rest[2, 0] * one + rest[2, 1] * other + rest[2, 2] * z + shift[2]
-        return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32)
+        return np.where(z < FAR_MM / 2, turned, FAR_MM).astype(np.float32).reshape(len(y), len(x))
 
     def low(self, share: float, turn: Array, shift: Array) -> tuple[Array, Array]:
         """A rectangle, least and greatest (x, y) [mm], beside which the underside is higher than `share` of its depth below z = 0.

@@ -120,7 +120,7 @@ def test_a_window_answers_as_the_whole_layer(shape: tuple[int, int], monkeypatch
     def apart() -> float:
         part = grid.window(shape, 2.345)
         alone = np.stack([*(part.dragged(q) + part.spread(p)), part.lifted(q) - part.sunk(p)])
-        assert np.allclose(part.drawn(q[0]), part.dragged(np.stack([q[0], 0 * q[0]]))[0], atol=1e-5)
+        assert np.allclose(part.alone(q), [part.sunk(q[0]), part.dragged(np.stack([q[1], 0 * q[1]]))[0]], atol=1e-5)
         return max(float(np.abs(found - known).max() / np.abs(known).max()) for found in (part.moved(p, q), alone))
 
     assert apart() < 1e-5
