@@ -239,26 +239,24 @@ class Window:
         x, y = self._there(shear)
         return self._back(-1j * (self.answers[4] * x + self.answers[5] * y))
 
-    def spread(self, pressure: Values) -> Values:
-        """u_t of a pressure [mm], (2, rows, columns)."""
-        return self._back(-1j * (self.answers[4:] * self._there(pressure)))
 
-
-def pressure(window: Window, room: Values, start: Values) -> tuple[Values, Values]:
+def pressure(window: Window, room: Values, start: Values, known: Values | None = None) -> tuple[Values, Values]:
     """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap.
 
     Args:
         room: Gap that the face has without it [mm]; negative where the object would overlap.
-        start: A first guess.
+        start: A first guess, p ≥ 0.
+        known: Its gap, room + sunk(start), if that is known; of `room` then the deepest overlap counts alone.
     """
     deepest = -float(room.min())
     if deepest <= 0.0:
         return np.zeros_like(room), room
     # The contact lies where there is overlap or was pressure; what else joins is found by the overlap that it comes to.
-    p = np.where(start > 0, start, 0.0).astype(np.float32)
+    p, gap = start, known
     if not p.any():
-        p[room < 0] = window.layer.material.shear_kpa * 1e-3
-    gap = room + window.sunk(p)
+        p, gap = np.where(room < 0, np.float32(window.layer.material.shear_kpa * 1e-3), np.float32(0.0)), None
+    if gap is None:
+        gap = room + window.sunk(p)
     way, before = np.zeros_like(p), 0.0
     for _ in range(STEPS):
         held = p > 0
@@ -278,48 +276,46 @@ def pressure(window: Window, room: Values, start: Values) -> tuple[Values, Value
         moved = p - np.float32(step) * way
         left = moved < 0
         if left.any() or overlap.any():
-            p = np.maximum(moved, 0.0)
+            p, held = np.maximum(moved, 0.0), p
             p[overlap] -= np.float32(step) * gap[overlap]
-            gap = room + window.sunk(p)
+            gap = gap + window.sunk(p - held)
             before = 0.0 if overlap.any() else size
         else:
             p, gap, before = moved, gap - np.float32(step) * answer, size
     return p, gap
 
 
-def shear(window: Window, away: Values, bound: Values, start: Values) -> Values:
-    """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip = away + dragged(q) is 0 where |q| < bound, else against q.
+def bounded(q: Values, bound: Values) -> Values:
+    """Tangential tractions (2, rows, columns), cut to a length (rows, columns)."""
+    return q * np.minimum(bound / np.maximum(np.sqrt(q[0] ** 2 + q[1] ** 2), np.float32(1e-30)), np.float32(1.0))
+
+
+def shear(window: Window, slip: Values, bound: Values, start: Values, away: float) -> tuple[Values, Values]:
+    """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip is 0 where |q| < bound, else against q; and that slip.
 
     Args:
-        away: Slip that there is without them [mm], likewise.
+        slip: Under the first guess [mm], likewise.
         bound: μp, (rows, columns).
-        start: A first guess.
+        start: A first guess, |start| ≤ bound.
+        away: Slip that there is without tractions, over all cells that touch, root of the sum of squares [mm].
     """
-    touching = bound > 0
-    if not touching.any():
-        return np.zeros_like(away)
-
-    def projected(q: Values) -> Values:
-        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-        return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
-
-    softest: Any = np.float32(window.stiffness)
-    allowed = SLIP_TOLERANCE * min(float(softest) * float(np.linalg.norm(away * touching)), float(np.linalg.norm(bound)))
-    q = projected(start)
-    slip: Values = (away + window.dragged(q)) * touching
-    step: Any = softest
+    touching, softest = bound > 0, np.float32(window.stiffness)
+    allowed = SLIP_TOLERANCE * min(float(softest) * away, float(np.linalg.norm(bound)))
+    q, step = start, softest
     for _ in range(STEPS):
-        if float(np.linalg.norm(projected(q - softest * slip) - q)) <= allowed:
+        held = slip * touching
+        if float(np.linalg.norm(bounded(q - softest * held, bound) - q)) <= allowed:
             break
-        way = projected(q - step * slip) - q
-        answer = window.dragged(way) * touching
+        way = bounded(q - step * held, bound) - q
+        moved = window.dragged(way)
+        answer = moved * touching
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # no more than rounding is left
             break
-        part: Any = np.float32(min(1.0, -float(np.vdot(slip, way)) / steep))
-        q, slip = q + part * way, slip + part * answer
+        part = np.float32(min(1.0, -float(np.vdot(held, way)) / steep))
+        q, slip = q + part * way, slip + part * moved
         step = np.float32(steep / float(np.vdot(answer, answer)))
-    return q
+    return q, slip
 
 
 def punch(window: Window, cells: NDArray[np.bool_], *, shear: bool) -> Values:
