@@ -117,9 +117,9 @@ class Layer:
         return Window(self, shape, padded, thickness, answers)
 
     def _node(self, shape: tuple[int, int], node: int) -> Values:
-        """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (6, rows, columns / 2 + 1).
+        """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (11, rows / 2 + 1, columns / 2 + 1).
 
-        Of u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and over i of u_x and u_y by p.
+        Of u_z by p, u_x by q_x, u_y by q_y; by the parities of their outcome, u_x by q_y (4), u_x by p (2) and u_y by p (2): `Window`.
         """
         if (shape, node) in self._nodes:
             return self._nodes[shape, node]
@@ -132,7 +132,9 @@ class Layer:
                 cut[reach] = space[reach]
                 space = np.moveaxis(cut, 0, axis)
         found: Any = fft.rfft2(space)
-        return _keep(self._nodes, (shape, node), np.concatenate([found[:4].real, found[4:].imag]))
+        found = found[:, : shape[0] // 2 + 1]
+        (zz, xx, yy, xy), (xz, yz) = found[:4].real, found[4:].imag
+        return _keep(self._nodes, (shape, node), np.stack([zz, xx, yy, -xy, xy, xy, -xy, -xz, xz, -yz, yz]))
 
     def _space(self, node: int) -> Values:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
@@ -165,18 +167,44 @@ def _keep(table: dict[Any, Values], key: Any, value: Values) -> Values:
 
 
 @lru_cache(maxsize=64)
-def _waves_of(count: int, padded: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Fourier's transform of `count` cells padded to `padded` as matrices, which so few cells are through sooner than an FFT.
+def _waves_of(count: int, padded: int) -> tuple[Values, Values]:
+    """Cosines and sines about the middle of `count` cells, of the waves of `padded` of them: from half of the cells to half of the waves
+    (2, padded / 2 + 1, count / 2), and back."""
+    half, waves = (count + 1) // 2, np.arange(padded // 2 + 1)
+    turns = 2 * np.pi / padded * np.outer(waves, np.arange(half) - (count - 1) / 2)
+    there = np.stack([np.cos(turns), np.sin(turns)])
+    back = np.where(waves % (padded // 2) == 0, 1.0, 2.0) / padded * there.transpose(0, 2, 1)
+    if count % 2:
+        there[:, :, -1] /= 2  # the middle is its own mirror image
+    return there.astype(np.float32), back.astype(np.float32)
 
-    To all waves (padded, count) and back (count, padded); of real values to half of the waves, their real and imaginary parts side by
-    side (count, padded + 2), and back (padded + 2, count).
-    """
-    turn = np.exp(-2j * np.pi / padded * np.outer(np.arange(padded), np.arange(count))).astype(np.complex64)
-    half = turn[: padded // 2 + 1]
-    twice = np.full((len(half), 1), 2.0 / padded)
-    twice[[0, -1]] /= 2
-    real_back = np.stack([twice * half.real, twice * half.imag], axis=1).reshape(-1, count).astype(np.float32)
-    return turn, np.ascontiguousarray(half.T).view(np.float32), np.ascontiguousarray(turn.conj().T) / np.float32(padded), real_back
+
+def _halves(values: Values, axis: int) -> tuple[Values, Values]:
+    """One half of values (..., rows, columns) along an axis, -2 or -1, and the other, mirrored; the middle is in both."""
+    half = (values.shape[axis] + 1) // 2
+    if axis == -1:
+        return values[..., :half], values[..., ::-1][..., :half]
+    return values[..., :half, :], values[..., ::-1, :][..., :half, :]
+
+
+def _folded(values: Values, axis: int) -> Values:
+    """The even part of values along an axis, twice, and the odd one, on half of the cells: (2, ...)."""
+    one, other = _halves(values, axis)
+    found = np.empty((2, *one.shape), np.float32)
+    np.add(one, other, out=found[0])
+    np.subtract(one, other, out=found[1])
+    return found
+
+
+def _unfolded(parts: Values, axis: int, count: int) -> Values:
+    """Even and odd part together, on all of the cells along an axis."""
+    shape = list(parts.shape[1:])
+    shape[axis] = count
+    found = np.empty(shape, np.float32)
+    one, other = _halves(found, axis)
+    np.subtract(parts[0], parts[1], out=other)
+    np.add(parts[0], parts[1], out=one)
+    return found
 
 
 shared = lru_cache(maxsize=8)(Layer)
@@ -185,7 +213,12 @@ shared = lru_cache(maxsize=8)(Layer)
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Some rows and columns of a layer's grid."""
+    """Some rows and columns of a layer's grid.
+
+    Waves are cosines and sines about its middle, not exponentials: (2, 2, ..., rows, columns), even and odd along y, even and odd along x.
+    An answer that is odd along an axis takes even to odd, and odd to even with the other sign. So all products are of real matrices too
+    small for a BLAS to share among threads: of complex ones, half the size, OpenBLAS's threads made each a hundred times slower.
+    """
 
     layer: Layer
     shape: tuple[int, int]
@@ -202,23 +235,28 @@ class Window:
         """The same of another thickness [mm]."""
         return self.layer.window(self.shape, thickness)
 
-    def _there(self, values: Values) -> NDArray[np.complex64]:
-        if self.padded == self.layer.shape:
-            return fft.rfft2(values, self.padded)  # type: ignore[return-value]
-        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
-        return rows[0] @ (values @ columns[1]).view(np.complex64)
+    def _there(self, values: Values) -> Values:
+        (rows, _), (columns, _) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+        many = (1,) * (values.ndim - 2)
+        along_x = _folded(values, -1) @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1])
+        return rows.reshape(2, 1, *many, *rows.shape[1:]) @ _folded(along_x, -2)
 
-    def _back(self, waves_of: NDArray[np.complex64]) -> Values:
-        if self.padded == self.layer.shape:
-            return fft.irfft2(waves_of, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
-        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
-        return (rows[2] @ waves_of).view(np.float32) @ columns[3]
+    def _back(self, waves: Values) -> Values:
+        (_, rows), (_, columns) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+        many = (1,) * (waves.ndim - 4)
+        along_x = _unfolded(rows.reshape(2, 1, *many, *rows.shape[1:]) @ waves, -2, self.shape[0])
+        return _unfolded(along_x @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1]), -1, self.shape[1])
 
     def moved(self, pressure: Values, shear: Values) -> Values:
         """Displacement u of all tractions together [mm], (3, rows, columns)."""
-        zz, xx, yy, xy, xz, yz = self.answers
-        x, y, p = self._there(np.concatenate([shear, pressure[None]]))
-        return self._back(np.stack([xx * x + xy * y - 1j * (xz * p), xy * x + yy * y - 1j * (yz * p), -1j * (xz * x + yz * y) - zz * p]))
+        zz, xx, yy, xy, xz, yz = self._parts
+        waves = self._there(np.concatenate([shear, pressure[None]]))
+        x, y, p = waves[:, :, 0], waves[:, :, 1], waves[:, :, 2]
+        found = np.empty_like(waves)
+        found[:, :, 0] = xx * x + xy * y[::-1, ::-1] + xz * p[:, ::-1]
+        found[:, :, 1] = xy * x[::-1, ::-1] + yy * y + yz * p[::-1]
+        found[:, :, 2] = xz * x[:, ::-1] + yz * y[::-1] - zz * p
+        return self._back(found)
 
     def sunk(self, pressure: Values) -> Values:
         """How deep a pressure alone presses the face [mm]."""
@@ -230,14 +268,25 @@ class Window:
 
     def dragged(self, shear: Values) -> Values:
         """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""
-        _, xx, yy, xy = self.answers[:4]
-        x, y = self._there(shear)
-        return self._back(np.stack([xx * x + xy * y, xy * x + yy * y]))
+        _, xx, yy, xy, _, _ = self._parts
+        waves = self._there(shear)
+        x, y = waves[:, :, 0], waves[:, :, 1]
+        found = np.empty_like(waves)
+        found[:, :, 0] = xx * x + xy * y[::-1, ::-1]
+        found[:, :, 1] = xy * x[::-1, ::-1] + yy * y
+        return self._back(found)
 
     def lifted(self, shear: Values) -> Values:
         """u_z of tangential tractions [mm]."""
-        x, y = self._there(shear)
-        return self._back(-1j * (self.answers[4] * x + self.answers[5] * y))
+        *_, xz, yz = self._parts
+        waves = self._there(shear)
+        return self._back(xz * waves[:, ::-1, 0] + yz * waves[::-1, :, 1])
+
+    @property
+    def _parts(self) -> tuple[Values, ...]:
+        """The answers, by the parities of their outcome those that change them."""
+        ways = self.answers
+        return ways[0], ways[1], ways[2], ways[3:7].reshape(2, 2, *ways.shape[1:]), ways[7:9], ways[9:, None]
 
 
 def pressure(window: Window, room: Values, start: Values, known: Values | None = None) -> tuple[Values, Values]:
