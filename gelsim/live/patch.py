@@ -44,7 +44,7 @@ class Patch:
 
     def wrench(self, motion: Array) -> Array:
         """Force [N] and torque [N m] on the gel after a small motion of the object in the gel's frame [m, rad], (6,) for (6,)."""
-        force = self._forces(motion)
+        force = self._forces(motion) if motion.any() else self._at_rest
         return np.concatenate([force.sum(axis=1), torque(self.points, force.T)])
 
     def changed(self, motion: Array) -> float:

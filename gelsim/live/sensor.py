@@ -164,6 +164,7 @@ class LiveSensor:
         centres = marker_layout(scene).centres
         self._markers = np.column_stack([centres, gel_height(gel, centres)])
         self._draws, self._device = image, device
+        self._pose: tuple[Array, Array] | None = None
         self._punched: tuple[Window | None, NDArray[np.bool_], Array] = (None, np.zeros((0, 0), bool), np.zeros((0, 2)))
         if image:
             _ = self._drawer  # measures the light now
@@ -171,11 +172,16 @@ class LiveSensor:
 
     def reset(self) -> None:
         """Forgets the object: the gel is at rest and remembers no slip."""
+        self._object.forget()
+        self._release()
+        self._pose = None
+        self._clear = 0.0
+
+    def _release(self) -> None:
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
-        self._state = State(window, (slice(0, 0), slice(0, 0)), nothing[0], nothing[:2], nothing[0], nothing, nothing[:2], nothing[:2])
-        self._pose: tuple[Array, Array] | None = None
-        self._clear = 0.0
+        at_rest = nothing[0], nothing[:2], nothing[0], nothing, nothing[:2], nothing[:2]
+        self._state = State(window, (slice(0, 0), slice(0, 0)), *at_rest)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
         """Moves the object to a pose and says what the sensor sees and feels there.
@@ -292,7 +298,7 @@ class LiveSensor:
         (turn, shift), (region, heights, room) = pose, seen
         lowest = float(room.min(initial=math.inf))
         if lowest >= 0:
-            self.reset()
+            self._release()
             self._pose, self._clear = (turn, shift), lowest
             return
         place = self._place(region, room < -RISE * lowest)

@@ -56,6 +56,10 @@ class Underside:
         self._corners = vertices
         self._turn: Array | None = None
 
+    def forget(self) -> None:
+        """The map: which serves depends on what was asked before."""
+        self._turn = None
+
     def heights(self, turn: Array, shift: Array, x: Array, y: Array) -> NDArray[np.float32]:
         """z [mm] of the underside over the places x (columns,) and y (rows,) [mm], (rows, columns); FAR_MM where there is none.
 

@@ -252,6 +252,21 @@ def test_history_slide_release_and_reset() -> None:
     assert np.array_equal(again[1].height, same[1].height) and np.array_equal(again[1].force, same[1].force)
 
 
+def test_a_reset_forgets_the_map_of_a_tilt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which serves all tilts near it, each a little differently."""
+    sensor = LiveSensor(scene(0.5, shape="box", width_mm=4.0, length_mm=6.0, height_mm=6.0), image=False)
+
+    def walk() -> np.ndarray:
+        sensor.reset()
+        return np.array([at(sensor, 0.0, 0.0, 0.05 - 0.1 * i, about(1, 0.5 * i)).height for i in range(5)])
+
+    first = walk()
+    assert np.array_equal(walk(), first)
+    monkeypatch.setattr(Underside, "forget", lambda self: None)  # planted
+    walk()
+    assert not np.array_equal(walk(), first)
+
+
 def test_a_flat_face_that_goes_along_the_gel_is_felt_at_once() -> None:
     """Its pressure stays as it is: shear grows in each step of half a micrometre, up to the tolerance of the search for friction."""
     sensor = LiveSensor(scene(0.5, shape="cylinder", radius_mm=4.0), image=False)
