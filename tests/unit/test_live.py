@@ -258,7 +258,7 @@ def test_a_reset_forgets_the_map_of_a_tilt(monkeypatch: pytest.MonkeyPatch) -> N
 
     def walk() -> np.ndarray:
         sensor.reset()
-        return np.array([at(sensor, 0.0, 0.0, 0.05 - 0.1 * i, about(1, 0.5 * i)).height for i in range(5)])
+        return np.array([at(sensor, 0.0, 0.0, 0.05 - 0.1 * i, about(1, tilt)).height for i, tilt in enumerate((0.0, 0.9, 1.8, 0.9, 0.4))])
 
     first = walk()
     assert np.array_equal(walk(), first)
