@@ -22,12 +22,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+T = TypeVar("T")
 Values = NDArray[np.float32]
 
 CELL_MM = 0.2
@@ -134,7 +135,7 @@ class Layer:
         found: Any = fft.rfft2(space)
         found = found[:, : shape[0] // 2 + 1]
         (zz, xx, yy, xy), (xz, yz) = found[:4].real, found[4:].imag
-        return _keep(self._nodes, (shape, node), np.stack([zz, xx, yy, -xy, xy, xy, -xy, -xz, xz, -yz, yz]))
+        return keep(self._nodes, (shape, node), np.stack([zz, xx, yy, -xy, xy, xy, -xy, -xz, xz, -yz, yz]), KEPT)
 
     def _space(self, node: int) -> Values:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
@@ -155,12 +156,12 @@ class Layer:
         xx[0, 0] = yy[0, 0] = thickness / shear
         answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
         moved: Any = fft.irfft2(answers.astype(np.complex64), self.shape)
-        return _keep(self._spaces, node, moved)
+        return keep(self._spaces, node, moved, KEPT)
 
 
-def _keep(table: dict[Any, Values], key: Any, value: Values) -> Values:
-    """Puts a value into a table, from which the oldest goes where it is full."""
-    if len(table) >= KEPT:
+def keep(table: dict[Any, T], key: Any, value: T, most: int) -> T:
+    """Puts a value into a table, from which the oldest goes where it holds `most`."""
+    if len(table) >= most:
         del table[next(iter(table))]
     table[key] = value
     return value
@@ -280,7 +281,8 @@ class Window:
         """u_z of tangential tractions [mm]."""
         *_, xz, yz = self._parts
         waves = self._there(shear)
-        return self._back(xz * waves[:, ::-1, 0] + yz * waves[::-1, :, 1])
+        found: Any = xz * waves[:, ::-1, 0] + yz * waves[::-1, :, 1]
+        return self._back(found)
 
     @property
     def _parts(self) -> tuple[Values, ...]:
@@ -336,7 +338,8 @@ def pressure(window: Window, room: Values, start: Values, known: Values | None =
 
 def bounded(q: Values, bound: Values) -> Values:
     """Tangential tractions (2, rows, columns), cut to a length (rows, columns)."""
-    return q * np.minimum(bound / np.maximum(np.sqrt(q[0] ** 2 + q[1] ** 2), np.float32(1e-30)), np.float32(1.0))
+    length = np.sqrt(q[0] ** 2 + q[1] ** 2)
+    return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
 
 
 def shear(window: Window, slip: Values, bound: Values, start: Values, away: float) -> tuple[Values, Values]:
@@ -348,9 +351,11 @@ def shear(window: Window, slip: Values, bound: Values, start: Values, away: floa
         start: A first guess, |start| ≤ bound.
         away: Slip that there is without tractions, over all cells that touch, root of the sum of squares [mm].
     """
-    touching, softest = bound > 0, np.float32(window.stiffness)
+    softest: Any = np.float32(window.stiffness)
+    step: Any = softest
+    touching = bound > 0
     allowed = SLIP_TOLERANCE * min(float(softest) * away, float(np.linalg.norm(bound)))
-    q, step = start, softest
+    q = start
     for _ in range(STEPS):
         held = slip * touching
         if float(np.linalg.norm(bounded(q - softest * held, bound) - q)) <= allowed:
@@ -361,7 +366,7 @@ def shear(window: Window, slip: Values, bound: Values, start: Values, away: floa
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # no more than rounding is left
             break
-        part = np.float32(min(1.0, -float(np.vdot(held, way)) / steep))
+        part: Any = np.float32(min(1.0, -float(np.vdot(held, way)) / steep))
         q, slip = q + part * way, slip + part * moved
         step = np.float32(steep / float(np.vdot(answer, answer)))
     return q, slip
@@ -374,12 +379,13 @@ def punch(window: Window, cells: NDArray[np.bool_], *, shear: bool) -> Values:
         A pressure, and with `shear` a traction along x too: (1 or 2, rows, columns).
     """
 
-    def size_of(one: Values, other: Values) -> Values:
+    def size_of(one: Values, other: Values) -> Any:
         return np.einsum("kij,kij->k", one, other)[:, None, None]
 
-    left = np.repeat(cells[None].astype(np.float32), 2 if shear else 1, axis=0)
+    left: Values = np.repeat(cells[None].astype(np.float32), 2 if shear else 1, axis=0)
     traction, way, size = np.zeros_like(left), left, size_of(left, left)
-    allowed, least = PUNCH_TOLERANCE**2 * size, np.float32(1e-30)
+    allowed = PUNCH_TOLERANCE**2 * size
+    least: Any = np.float32(1e-30)
     for _ in range(STEPS):
         if (size <= allowed).all():
             break
