@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -47,6 +47,8 @@ NODES = 0.01
 """Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
 KEPT = 256
 """Answers of windows and thicknesses that a layer keeps, 0.2 MB each for 128 × 128 cells."""
+ALONE = 2**18
+"""Multiplications in a product of real matrices up to which OpenBLAS takes one thread. Two, on busy cores, made a step ten times slower."""
 PUNCH_TOLERANCE = 0.05
 """Of the motion of a flat punch, RMS over its cells."""
 STEPS = 200
@@ -216,9 +218,9 @@ shared = lru_cache(maxsize=8)(Layer)
 class Window:
     """Some rows and columns of a layer's grid.
 
-    Waves are cosines and sines about its middle, not exponentials: (2, 2, ..., rows, columns), even and odd along y, even and odd along x.
-    An answer that is odd along an axis takes even to odd, and odd to even with the other sign. So all products are of real matrices too
-    small for a BLAS to share among threads: of complex ones, half the size, OpenBLAS's threads made each a hundred times slower.
+    Waves are cosines and sines, not exponentials: (2, 2, ..., rows, columns), even and odd along y, even and odd along x. An answer that is
+    odd along an axis takes even to odd, and odd to even with the other sign. They are about the window's middle, and found by products of
+    real matrices; or, of a large window, about its first cell, by an FFT.
     """
 
     layer: Layer
@@ -236,17 +238,44 @@ class Window:
         """The same of another thickness [mm]."""
         return self.layer.window(self.shape, thickness)
 
+    @cached_property
+    def _small(self) -> bool:
+        """Whether each product of matrices is one that stays on its thread."""
+        (rows, columns), waves = self.shape, [count // 2 + 1 for count in self.padded]
+        return max(rows * (columns + 1) // 2, waves[0] * (rows + 1) // 2) * waves[1] <= ALONE
+
     def _there(self, values: Values) -> Values:
-        (rows, _), (columns, _) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
         many = (1,) * (values.ndim - 2)
-        along_x = _folded(values, -1) @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1])
-        return rows.reshape(2, 1, *many, *rows.shape[1:]) @ _folded(along_x, -2)
+        if self._small:
+            (rows, _), (columns, _) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+            along_x = _folded(values, -1) @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1])
+            return rows.reshape(2, 1, *many, *rows.shape[1:]) @ _folded(along_x, -2)
+        waves: Any = fft.rfft2(values, self.padded)
+        half = self.padded[0] // 2 + 1
+        one: Any = waves[..., :half, :]
+        other: Any = np.concatenate([waves[..., :1, :], waves[..., : half - 2 : -1, :]], axis=-2)  # of the opposite wave along y
+        found = np.empty((2, 2, *one.shape), np.float32)
+        np.add(one.real, other.real, out=found[0, 0])
+        np.add(one.imag, other.imag, out=found[0, 1])
+        np.subtract(other.imag, one.imag, out=found[1, 0])
+        np.subtract(other.real, one.real, out=found[1, 1])
+        found *= np.array([[0.5, -0.5], [0.5, 0.5]], np.float32).reshape(2, 2, *many, 1, 1)
+        return found
 
     def _back(self, waves: Values) -> Values:
-        (_, rows), (_, columns) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
         many = (1,) * (waves.ndim - 4)
-        along_x = _unfolded(rows.reshape(2, 1, *many, *rows.shape[1:]) @ waves, -2, self.shape[0])
-        return _unfolded(along_x @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1]), -1, self.shape[1])
+        if self._small:
+            (_, rows), (_, columns) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+            along_x = _unfolded(rows.reshape(2, 1, *many, *rows.shape[1:]) @ waves, -2, self.shape[0])
+            return _unfolded(along_x @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1]), -1, self.shape[1])
+        half, below = waves.shape[-2], np.s_[..., -2:0:-1, :]  # rows of negative waves, as those of the positive ones
+        whole = np.empty((*waves.shape[2:-2], self.padded[0], waves.shape[-1]), np.complex64)
+        np.subtract(waves[0, 0], waves[1, 1], out=whole.real[..., :half, :])
+        np.add(waves[0, 1], waves[1, 0], out=whole.imag[..., :half, :])
+        np.add(waves[0, 0][below], waves[1, 1][below], out=whole.real[..., half:, :])
+        np.subtract(waves[0, 1][below], waves[1, 0][below], out=whole.imag[..., half:, :])
+        np.negative(whole.imag, out=whole.imag)
+        return fft.irfft2(whole, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
 
     def moved(self, pressure: Values, shear: Values) -> Values:
         """Displacement u of all tractions together [mm], (3, rows, columns)."""
