@@ -20,15 +20,15 @@ the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single pr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+T = TypeVar("T")
 Values = NDArray[np.float32]
 
 CELL_MM = 0.2
@@ -47,6 +47,8 @@ NODES = 0.01
 """Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
 KEPT = 256
 """Answers of windows and thicknesses that a layer keeps, 0.2 MB each for 128 × 128 cells."""
+ALONE = 2**18
+"""Multiplications in a product of real matrices up to which OpenBLAS takes one thread. Two, on busy cores, made a step ten times slower."""
 PUNCH_TOLERANCE = 0.05
 """Of the motion of a flat punch, RMS over its cells."""
 STEPS = 200
@@ -118,9 +120,9 @@ class Layer:
         return Window(self, shape, padded, thickness, answers)
 
     def _node(self, shape: tuple[int, int], node: int) -> Values:
-        """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (6, rows, columns / 2 + 1).
+        """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (11, rows / 2 + 1, columns / 2 + 1).
 
-        Of u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and over i of u_x and u_y by p.
+        Of u_z by p, u_x by q_x, u_y by q_y; by the parities of their outcome, u_x by q_y (4), u_x by p (2) and u_y by p (2): `Window`.
         """
         if (shape, node) in self._nodes:
             return self._nodes[shape, node]
@@ -133,7 +135,9 @@ class Layer:
                 cut[reach] = space[reach]
                 space = np.moveaxis(cut, 0, axis)
         found: Any = fft.rfft2(space)
-        return _keep(self._nodes, (shape, node), np.concatenate([found[:4].real, found[4:].imag]))
+        found = found[:, : shape[0] // 2 + 1]
+        (zz, xx, yy, xy), (xz, yz) = found[:4].real, found[4:].imag
+        return keep(self._nodes, (shape, node), np.stack([zz, xx, yy, -xy, xy, xy, -xy, -xz, xz, -yz, yz]), KEPT)
 
     def _space(self, node: int) -> Values:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
@@ -154,30 +158,56 @@ class Layer:
         xx[0, 0] = yy[0, 0] = thickness / shear
         answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
         moved: Any = fft.irfft2(answers.astype(np.complex64), self.shape)
-        return _keep(self._spaces, node, moved)
+        return keep(self._spaces, node, moved, KEPT)
 
 
-def _keep(table: dict[Any, Values], key: Any, value: Values) -> Values:
-    """Puts a value into a table, from which the oldest goes where it is full."""
-    if len(table) >= KEPT:
+def keep(table: dict[Any, T], key: Any, value: T, most: int) -> T:
+    """Puts a value into a table, from which the oldest goes where it holds `most`."""
+    if len(table) >= most:
         del table[next(iter(table))]
     table[key] = value
     return value
 
 
 @lru_cache(maxsize=64)
-def _waves_of(count: int, padded: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Fourier's transform of `count` cells padded to `padded` as matrices, which so few cells are through sooner than an FFT.
+def _waves_of(count: int, padded: int) -> tuple[Values, Values]:
+    """Cosines and sines about the middle of `count` cells, of the waves of `padded` of them: from half of the cells to half of the waves
+    (2, padded / 2 + 1, count / 2), and back."""
+    half, waves = (count + 1) // 2, np.arange(padded // 2 + 1)
+    turns = 2 * np.pi / padded * np.outer(waves, np.arange(half) - (count - 1) / 2)
+    there = np.stack([np.cos(turns), np.sin(turns)])
+    back = np.where(waves % (padded // 2) == 0, 1.0, 2.0) / padded * there.transpose(0, 2, 1)
+    if count % 2:
+        there[:, :, -1] /= 2  # the middle is its own mirror image
+    return there.astype(np.float32), back.astype(np.float32)
 
-    To all waves (padded, count) and back (count, padded); of real values to half of the waves, their real and imaginary parts side by
-    side (count, padded + 2), and back (padded + 2, count).
-    """
-    turn = np.exp(-2j * np.pi / padded * np.outer(np.arange(padded), np.arange(count))).astype(np.complex64)
-    half = turn[: padded // 2 + 1]
-    twice = np.full((len(half), 1), 2.0 / padded)
-    twice[[0, -1]] /= 2
-    real_back = np.stack([twice * half.real, twice * half.imag], axis=1).reshape(-1, count).astype(np.float32)
-    return turn, np.ascontiguousarray(half.T).view(np.float32), np.ascontiguousarray(turn.conj().T) / np.float32(padded), real_back
+
+def _halves(values: Values, axis: int) -> tuple[Values, Values]:
+    """One half of values (..., rows, columns) along an axis, -2 or -1, and the other, mirrored; the middle is in both."""
+    half = (values.shape[axis] + 1) // 2
+    if axis == -1:
+        return values[..., :half], values[..., ::-1][..., :half]
+    return values[..., :half, :], values[..., ::-1, :][..., :half, :]
+
+
+def _folded(values: Values, axis: int) -> Values:
+    """The even part of values along an axis, twice, and the odd one, on half of the cells: (2, ...)."""
+    one, other = _halves(values, axis)
+    found = np.empty((2, *one.shape), np.float32)
+    np.add(one, other, out=found[0])
+    np.subtract(one, other, out=found[1])
+    return found
+
+
+def _unfolded(parts: Values, axis: int, count: int) -> Values:
+    """Even and odd part together, on all of the cells along an axis."""
+    shape = list(parts.shape[1:])
+    shape[axis] = count
+    found = np.empty(shape, np.float32)
+    one, other = _halves(found, axis)
+    np.subtract(parts[0], parts[1], out=other)
+    np.add(parts[0], parts[1], out=one)
+    return found
 
 
 shared = lru_cache(maxsize=8)(Layer)
@@ -186,7 +216,12 @@ shared = lru_cache(maxsize=8)(Layer)
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Some rows and columns of a layer's grid."""
+    """Some rows and columns of a layer's grid.
+
+    Waves are cosines and sines, not exponentials: (2, 2, ..., rows, columns), even and odd along y, even and odd along x. An answer that is
+    odd along an axis takes even to odd, and odd to even with the other sign. They are about the window's middle, and found by products of
+    real matrices; or, of a large window, about its first cell, by an FFT.
+    """
 
     layer: Layer
     shape: tuple[int, int]
@@ -203,63 +238,105 @@ class Window:
         """The same of another thickness [mm]."""
         return self.layer.window(self.shape, thickness)
 
-    def _there(self, values: Values) -> NDArray[np.complex64]:
-        if self.padded == self.layer.shape:
-            return fft.rfft2(values, self.padded)  # type: ignore[return-value]
-        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
-        return rows[0] @ (values @ columns[1]).view(np.complex64)
+    @cached_property
+    def _small(self) -> bool:
+        """Whether each product of matrices is one that stays on its thread."""
+        (rows, columns), waves = self.shape, [count // 2 + 1 for count in self.padded]
+        return max(rows * (columns + 1) // 2, waves[0] * (rows + 1) // 2) * waves[1] <= ALONE
 
-    def _back(self, waves_of: NDArray[np.complex64]) -> Values:
-        if self.padded == self.layer.shape:
-            return fft.irfft2(waves_of, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
-        rows, columns = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
-        return (rows[2] @ waves_of).view(np.float32) @ columns[3]
+    def _there(self, values: Values) -> Values:
+        many = (1,) * (values.ndim - 2)
+        if self._small:
+            (rows, _), (columns, _) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+            along_x = _folded(values, -1) @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1])
+            return rows.reshape(2, 1, *many, *rows.shape[1:]) @ _folded(along_x, -2)
+        waves: Any = fft.rfft2(values, self.padded)
+        half = self.padded[0] // 2 + 1
+        one: Any = waves[..., :half, :]
+        other: Any = np.concatenate([waves[..., :1, :], waves[..., : half - 2 : -1, :]], axis=-2)  # of the opposite wave along y
+        found = np.empty((2, 2, *one.shape), np.float32)
+        np.add(one.real, other.real, out=found[0, 0])
+        np.add(one.imag, other.imag, out=found[0, 1])
+        np.subtract(other.imag, one.imag, out=found[1, 0])
+        np.subtract(other.real, one.real, out=found[1, 1])
+        found *= np.array([[0.5, -0.5], [0.5, 0.5]], np.float32).reshape(2, 2, *many, 1, 1)
+        return found
+
+    def _back(self, waves: Values) -> Values:
+        many = (1,) * (waves.ndim - 4)
+        if self._small:
+            (_, rows), (_, columns) = (_waves_of(*counts) for counts in zip(self.shape, self.padded, strict=True))
+            along_x = _unfolded(rows.reshape(2, 1, *many, *rows.shape[1:]) @ waves, -2, self.shape[0])
+            return _unfolded(along_x @ columns.transpose(0, 2, 1).reshape(2, *many, *columns.shape[:0:-1]), -1, self.shape[1])
+        half, below = waves.shape[-2], np.s_[..., -2:0:-1, :]  # rows of negative waves, as those of the positive ones
+        whole = np.empty((*waves.shape[2:-2], self.padded[0], waves.shape[-1]), np.complex64)
+        np.subtract(waves[0, 0], waves[1, 1], out=whole.real[..., :half, :])
+        np.add(waves[0, 1], waves[1, 0], out=whole.imag[..., :half, :])
+        np.add(waves[0, 0][below], waves[1, 1][below], out=whole.real[..., half:, :])
+        np.subtract(waves[0, 1][below], waves[1, 0][below], out=whole.imag[..., half:, :])
+        np.negative(whole.imag, out=whole.imag)
+        return fft.irfft2(whole, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
 
     def moved(self, pressure: Values, shear: Values) -> Values:
         """Displacement u of all tractions together [mm], (3, rows, columns)."""
-        zz, xx, yy, xy, xz, yz = self.answers
-        x, y, p = self._there(np.concatenate([shear, pressure[None]]))
-        return self._back(np.stack([xx * x + xy * y - 1j * (xz * p), xy * x + yy * y - 1j * (yz * p), -1j * (xz * x + yz * y) - zz * p]))
+        zz, xx, yy, xy, xz, yz = self._parts
+        waves = self._there(np.concatenate([shear, pressure[None]]))
+        x, y, p = waves[:, :, 0], waves[:, :, 1], waves[:, :, 2]
+        found = np.empty_like(waves)
+        found[:, :, 0] = xx * x + xy * y[::-1, ::-1] + xz * p[:, ::-1]
+        found[:, :, 1] = xy * x[::-1, ::-1] + yy * y + yz * p[::-1]
+        found[:, :, 2] = xz * x[:, ::-1] + yz * y[::-1] - zz * p
+        return self._back(found)
 
     def sunk(self, pressure: Values) -> Values:
         """How deep a pressure alone presses the face [mm]."""
         return self._back(self.answers[0] * self._there(pressure))
 
-    def drawn(self, shear: Values) -> Values:
-        """How far tangential tractions along x alone move the face along x [mm]."""
-        return self._back(self.answers[1] * self._there(shear))
+    def alone(self, tractions: Values) -> Values:
+        """How deep a pressure presses the face, and how far a traction along x moves it along x, each alone [mm]: one or two, likewise."""
+        return self._back(self.answers[: len(tractions)] * self._there(tractions))
 
     def dragged(self, shear: Values) -> Values:
         """How far tangential tractions (2, rows, columns) alone move the face along itself [mm], likewise."""
-        _, xx, yy, xy = self.answers[:4]
-        x, y = self._there(shear)
-        return self._back(np.stack([xx * x + xy * y, xy * x + yy * y]))
+        _, xx, yy, xy, _, _ = self._parts
+        waves = self._there(shear)
+        x, y = waves[:, :, 0], waves[:, :, 1]
+        found = np.empty_like(waves)
+        found[:, :, 0] = xx * x + xy * y[::-1, ::-1]
+        found[:, :, 1] = xy * x[::-1, ::-1] + yy * y
+        return self._back(found)
 
     def lifted(self, shear: Values) -> Values:
         """u_z of tangential tractions [mm]."""
-        x, y = self._there(shear)
-        return self._back(-1j * (self.answers[4] * x + self.answers[5] * y))
+        *_, xz, yz = self._parts
+        waves = self._there(shear)
+        found: Any = xz * waves[:, ::-1, 0] + yz * waves[::-1, :, 1]
+        return self._back(found)
 
-    def spread(self, pressure: Values) -> Values:
-        """u_t of a pressure [mm], (2, rows, columns)."""
-        return self._back(-1j * (self.answers[4:] * self._there(pressure)))
+    @property
+    def _parts(self) -> tuple[Values, ...]:
+        """The answers, by the parities of their outcome those that change them."""
+        ways = self.answers
+        return ways[0], ways[1], ways[2], ways[3:7].reshape(2, 2, *ways.shape[1:]), ways[7:9], ways[9:, None]
 
 
-def pressure(window: Window, room: Values, start: Values) -> tuple[Values, Values]:
+def pressure(window: Window, room: Values, start: Values, known: Values | None = None) -> tuple[Values, Values]:
     """The pressure p ≥ 0 [kPa] under which gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap.
 
     Args:
         room: Gap that the face has without it [mm]; negative where the object would overlap.
-        start: A first guess.
+        start: A first guess, p ≥ 0.
+        known: Its gap, room + sunk(start), if that is known; of `room` then the deepest overlap counts alone.
     """
     deepest = -float(room.min())
     if deepest <= 0.0:
         return np.zeros_like(room), room
     # The contact lies where there is overlap or was pressure; what else joins is found by the overlap that it comes to.
-    p = np.where(start > 0, start, 0.0).astype(np.float32)
+    p, gap = start, known
     if not p.any():
-        p[room < 0] = window.layer.material.shear_kpa * 1e-3
-    gap = room + window.sunk(p)
+        p, gap = np.where(room < 0, np.float32(window.layer.material.shear_kpa * 1e-3), np.float32(0.0)), None
+    if gap is None:
+        gap = room + window.sunk(p)
     way, before = np.zeros_like(p), 0.0
     for _ in range(STEPS):
         held = p > 0
@@ -279,69 +356,73 @@ def pressure(window: Window, room: Values, start: Values) -> tuple[Values, Value
         moved = p - np.float32(step) * way
         left = moved < 0
         if left.any() or overlap.any():
-            p = np.maximum(moved, 0.0)
+            p, held = np.maximum(moved, 0.0), p
             p[overlap] -= np.float32(step) * gap[overlap]
-            gap = room + window.sunk(p)
+            gap = gap + window.sunk(p - held)
             before = 0.0 if overlap.any() else size
         else:
             p, gap, before = moved, gap - np.float32(step) * answer, size
     return p, gap
 
 
-def shear(window: Window, away: Values, bound: Values, start: Values) -> Values:
-    """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip = away + dragged(q) is 0 where |q| < bound, else against q.
+def bounded(q: Values, bound: Values) -> Values:
+    """Tangential tractions (2, rows, columns), cut to a length (rows, columns)."""
+    length = np.sqrt(q[0] ** 2 + q[1] ** 2)
+    return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+
+
+def shear(window: Window, slip: Values, bound: Values, start: Values, away: float) -> tuple[Values, Values]:
+    """Tangential tractions q, |q| ≤ bound [kPa], (2, rows, columns): slip is 0 where |q| < bound, else against q; and that slip.
 
     Args:
-        away: Slip that there is without them [mm], likewise.
+        slip: Under the first guess [mm], likewise.
         bound: μp, (rows, columns).
-        start: A first guess.
+        start: A first guess, |start| ≤ bound.
+        away: Slip that there is without tractions, over all cells that touch, root of the sum of squares [mm].
     """
-    touching = bound > 0
-    if not touching.any():
-        return np.zeros_like(away)
-
-    def projected(q: Values) -> Values:
-        length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-        return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
-
     softest: Any = np.float32(window.stiffness)
-    allowed = SLIP_TOLERANCE * min(float(softest) * float(np.linalg.norm(away * touching)), float(np.linalg.norm(bound)))
-    q = projected(start)
-    slip: Values = (away + window.dragged(q)) * touching
     step: Any = softest
+    touching = bound > 0
+    allowed = SLIP_TOLERANCE * min(float(softest) * away, float(np.linalg.norm(bound)))
+    q = start
     for _ in range(STEPS):
-        if float(np.linalg.norm(projected(q - softest * slip) - q)) <= allowed:
+        held = slip * touching
+        if float(np.linalg.norm(bounded(q - softest * held, bound) - q)) <= allowed:
             break
-        way = projected(q - step * slip) - q
-        answer = window.dragged(way) * touching
+        way = bounded(q - step * held, bound) - q
+        moved = window.dragged(way)
+        answer = moved * touching
         steep = float(np.vdot(answer, way))
         if steep <= 0.0:  # no more than rounding is left
             break
-        part: Any = np.float32(min(1.0, -float(np.vdot(slip, way)) / steep))
-        q, slip = q + part * way, slip + part * answer
+        part: Any = np.float32(min(1.0, -float(np.vdot(held, way)) / steep))
+        q, slip = q + part * way, slip + part * moved
         step = np.float32(steep / float(np.vdot(answer, answer)))
-    return q
+    return q, slip
 
 
-def punch(answer: Callable[[Values], Values], cells: NDArray[np.bool_]) -> Values:
-    """Traction on some cells [kPa/mm] that moves all of them alike, by conjugate gradients; 0 on the others.
+def punch(window: Window, cells: NDArray[np.bool_], *, shear: bool) -> Values:
+    """Tractions on some cells [kPa/mm] that move all of them alike, by conjugate gradients; 0 on the others.
 
-    Args:
-        answer: Motion of the cells [mm] by tractions [kPa].
+    Returns:
+        A pressure, and with `shear` a traction along x too: (1 or 2, rows, columns).
     """
-    traction = np.zeros(cells.shape, np.float32)
-    left = cells.astype(np.float32)
-    way, size = left, float(np.vdot(left, left))
+
+    def size_of(one: Values, other: Values) -> Any:
+        return np.einsum("kij,kij->k", one, other)[:, None, None]
+
+    left: Values = np.repeat(cells[None].astype(np.float32), 2 if shear else 1, axis=0)
+    traction, way, size = np.zeros_like(left), left, size_of(left, left)
     allowed = PUNCH_TOLERANCE**2 * size
+    least: Any = np.float32(1e-30)
     for _ in range(STEPS):
-        if size <= allowed:
+        if (size <= allowed).all():
             break
-        moved = answer(way) * cells
-        step: Any = np.float32(size / float(np.vdot(way, moved)))
+        moved = window.alone(way) * cells
+        step = size / np.maximum(size_of(way, moved), least)
         traction, left = traction + step * way, left - step * moved
-        before, size = size, float(np.vdot(left, left))
-        turn: Any = np.float32(size / before)
-        way = left + turn * way
+        before, size = size, size_of(left, left)
+        way = left + size / np.maximum(before, least) * way
     return traction
 
 

@@ -240,13 +240,14 @@ class Touch:
         """Of the model and of its pads, to return to; what the user changed in the model itself is not in it."""
         kept = np.zeros_like(self._state)
         mujoco.mj_getState(self.model, self.data, kept, STATE)
-        return kept, *(pad.state for pad in self.pads)
+        return kept, self._response, *(pad.state for pad in self.pads)
 
     @state.setter
     def state(self, kept: tuple[Any, ...]) -> None:
         mujoco.mj_setState(self.model, self.data, kept[0], STATE)
         mujoco.mj_forward(self.model, self.data)
-        for pad, state in zip(self.pads, kept[1:], strict=True):
+        self._response = kept[1]
+        for pad, state in zip(self.pads, kept[2:], strict=True):
             pad.state = state
 
     def step(self) -> None:

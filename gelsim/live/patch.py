@@ -40,40 +40,44 @@ class Patch:
     @cached_property
     def stiffness(self) -> Array:
         """What a motion of the object adds to the wrench on the gel, bounds aside: (6, 6) [N/m, N, N m]."""
-        return self._pushed.reshape(-1, 6).T @ self._moved.reshape(-1, 6)
+        return (self._pushed @ self._moved.transpose(0, 2, 1)).sum(axis=0)
 
     def wrench(self, motion: Array) -> Array:
         """Force [N] and torque [N m] on the gel after a small motion of the object in the gel's frame [m, rad], (6,) for (6,)."""
-        force = self._forces(motion)
+        force = self._forces(motion) if motion.any() else self._at_rest
         return np.concatenate([force.sum(axis=1), torque(self.points, force.T)])
 
     def changed(self, motion: Array) -> float:
         """By how much a motion changes the forces of the cells, over the normal force."""
-        change = self._forces(motion) - self._forces(np.zeros(6))
+        change = self._forces(motion) - self._at_rest
         return float(np.sqrt((change**2).sum(axis=0)).sum() / self.pressure.sum())
 
     def _forces(self, motion: Array) -> Array:
         """On the cells [N], (3, M)."""
-        x, y, normal = self._pushed @ motion
+        x, y, normal = motion @ self._pushed
         pressure = np.maximum(self.pressure + normal, 0.0)
         x, y = self.shear[:, 0] + x, self.shear[:, 1] + y
         held = np.minimum(1.0, self.friction * pressure / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
         return np.stack([held * x + pressure * self.slope[:, 0], held * y + pressure * self.slope[:, 1], -pressure])
 
     @cached_property
+    def _at_rest(self) -> Array:
+        return self._forces(np.zeros(6))
+
+    @cached_property
     def _pushed(self) -> Array:
-        """Forces of the springs by motions, along x, along y and normal, (3, M, 6)."""
-        return self.springs.T[[1, 1, 0], :, None] * self._moved
+        """Forces of the springs by motions, along x, along y and normal, (3, 6, M)."""
+        return self.springs.T[[1, 1, 0], None] * self._moved
 
     @cached_property
     def _moved(self) -> Array:
-        """How far motions take each spring, along x, along y and normal into the gel, (3, M, 6): v + ω × r of the object's point there."""
+        """How far motions take each spring, along x, along y and normal into the gel, (3, 6, M): v + ω × r of the object's point there."""
         x, y, z = self.points.T
-        moved = np.zeros((3, len(x), 6))
-        moved[0, :, 0], moved[0, :, 4], moved[0, :, 5] = 1.0, z, -y
-        moved[1, :, 1], moved[1, :, 3], moved[1, :, 5] = 1.0, -z, x
-        moved[2] = self.slope[:, :1] * moved[0] + self.slope[:, 1:] * moved[1]
-        moved[2, :, 2:5] -= np.column_stack([np.ones_like(x), y, -x])
+        moved = np.zeros((3, 6, len(x)))
+        moved[0, 0], moved[0, 4], moved[0, 5] = 1.0, z, -y
+        moved[1, 1], moved[1, 3], moved[1, 5] = 1.0, -z, x
+        moved[2] = self.slope[:, 0] * moved[0] + self.slope[:, 1] * moved[1]
+        moved[2, 2:5] -= np.stack([np.ones_like(x), y, -x])
         return moved
 
 

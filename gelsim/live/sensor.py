@@ -91,6 +91,8 @@ class State:
     """Height of the gel at rest [mm]."""
     moved: Values
     """Displacement (3, rows, columns) [mm] of what is now over a place."""
+    dragged: Values
+    """About how much of it along the face the shear makes, (2, rows, columns) [mm]."""
     anchor: Values
     """Motion along the face at which nothing slips, (2, rows, columns) [mm]. Where it sticks it is not taken from the solution, whose
     rounding would add up."""
@@ -101,7 +103,7 @@ class State:
         rows, columns = self.place
         row, column = np.nonzero(self.pressure)
         x, y = self.window.layer.x[columns], self.window.layer.y[rows]
-        return np.column_stack([x[column], y[row], (self.rest + self.moved[2])[row, column]])
+        return np.stack([x[column], y[row], (self.rest + self.moved[2])[row, column]]).T
 
     @cached_property
     def field(self) -> Values:
@@ -162,17 +164,24 @@ class LiveSensor:
         centres = marker_layout(scene).centres
         self._markers = np.column_stack([centres, gel_height(gel, centres)])
         self._draws, self._device = image, device
+        self._pose: tuple[Array, Array] | None = None
+        self._punched: tuple[Window | None, NDArray[np.bool_], Array] = (None, np.zeros((0, 0), bool), np.zeros((0, 2)))
         if image:
             _ = self._drawer  # measures the light now
         self.reset()
 
     def reset(self) -> None:
         """Forgets the object: the gel is at rest and remembers no slip."""
+        self._object.forget()
+        self._release()
+        self._pose = None
+        self._clear = 0.0
+
+    def _release(self) -> None:
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
-        self._state = State(window, (slice(0, 0), slice(0, 0)), nothing[0], nothing[:2], nothing[0], nothing, nothing[:2])
-        self._pose: tuple[Array, Array] | None = None
-        self._clear = 0.0
+        at_rest = nothing[0], nothing[:2], nothing[0], nothing, nothing[:2], nothing[:2]
+        self._state = State(window, (slice(0, 0), slice(0, 0)), *at_rest)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
         """Moves the object to a pose and says what the sensor sees and feels there.
@@ -244,16 +253,19 @@ class LiveSensor:
         touching = state.pressure > 0
         cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
         per_metre = cell / MM  # kPa/mm to N/m
-        window = state.window
-        normal = gel_layer.punch(window.sunk, touching)
-        shear = gel_layer.punch(window.drawn, touching) if self._friction else 0 * normal
+        window, cells, springs = self._punched
+        if window is not state.window or not np.array_equal(cells, touching):
+            found = gel_layer.punch(state.window, touching, shear=self._friction > 0)
+            springs = np.zeros((touching.sum(), 2))
+            springs[:, : len(found)] = found[:, touching].T * per_metre
+            self._punched = state.window, touching, springs
         return Patch(
             state.points * MM,
             (state.pressure[touching] * cell).astype(float),
             (state.shear[:, touching].T * cell).astype(float),
             self._slope[:, *state.place][:, touching].T.astype(float),
             self._friction,
-            np.column_stack([normal[touching], shear[touching]]).astype(float) * per_metre,
+            springs,
         )
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
@@ -286,7 +298,7 @@ class LiveSensor:
         (turn, shift), (region, heights, room) = pose, seen
         lowest = float(room.min(initial=math.inf))
         if lowest >= 0:
-            self.reset()
+            self._release()
             self._pose, self._clear = (turn, shift), lowest
             return
         place = self._place(region, room < -RISE * lowest)
@@ -300,26 +312,36 @@ class LiveSensor:
             drift = here[:2] - (self._pose[0] @ turn.T)[:2] @ here + (shift - self._pose[1])[:2, None]
             # Of a way that began in the air, the part from first touch on.
             anchor = anchor + drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
-        window = layer.window(p.shape, state.window.thickness)
-        dragged = not self._friction  # a flat face that goes along the gel changes its shear alone
+        window, moved, dragged = state.window, state.moved, state.dragged
+        if place != state.place:
+            window = layer.window(p.shape, window.thickness)
+            moved, dragged = window.moved(p, q), window.dragged(q)
+        solved = not self._friction  # a flat face that goes along the gel changes its shear alone
         for _ in range(gel_layer.ROUNDS):
             before = p
-            lifted = window.lifted(q) if self._friction else np.float32(0.0)
-            p, gap = gel_layer.pressure(window, room - lifted, p)
+            p, gap = gel_layer.pressure(window, room, p, room - moved[2])
             total = float(p.sum())
             if total == 0.0:  # a touch that is less than rounding
                 break
             thickness = gel.thickness_mm + float((p * (rest - self._thinning * (gap - room))).sum()) / total
             same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
-            if same and dragged and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
+            if same and solved and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
                 break
-            if not same:
-                window = window.at(thickness)
+            bound = np.float32(self._friction) * p
+            held = gel_layer.bounded(q, bound)
+            if not (same and np.array_equal(p, before) and np.array_equal(held, q)):
+                window = window if same else window.at(thickness)
+                moved = window.moved(p, held)
             if self._friction:
-                q, dragged = gel_layer.shear(window, window.spread(p) - anchor, np.float32(self._friction) * p, q), True
-        moved = window.moved(p, q)
+                slip = moved[:2] - anchor
+                q, left = gel_layer.shear(window, slip, bound, held, float(np.linalg.norm((slip - dragged) * (p > 0))))
+                dragged = dragged + left - slip
+                moved = np.stack([*(left + anchor), moved[2] + window.lifted(q - held)])
+                solved = True
+        if not (window is state.window and np.array_equal(p, state.pressure) and np.array_equal(q, state.shear)):
+            moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK * self._friction) * p) ** 2
-        self._state = State(window, place, p, q, rest, moved, np.where(stuck, anchor, moved[:2]))
+        self._state = State(window, place, p, q, rest, moved, dragged, np.where(stuck, anchor, moved[:2]))
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
@@ -343,7 +365,7 @@ class LiveSensor:
         p = state.pressure[touching]
         # Pressure acts along the normal of the gel at rest, as its work on a dome has it.
         tangential = state.shear[:, touching] + p * self._slope[:, *state.place][:, touching]
-        traction = np.column_stack([*tangential, -p]).astype(np.float64) * area
+        traction = (np.stack([*tangential, -p]).astype(np.float64) * area).T
         return LiveFrame(
             self.image() if self._draws else None,
             traction.sum(axis=0),
