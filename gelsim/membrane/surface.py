@@ -31,9 +31,9 @@ STRIP = 24
 """Rows of the grid whose normals are made at once: their numbers stay in a core's own memory."""
 
 
-def rest_membrane(scene: Scene) -> Membrane:
-    """The undeformed coated surface: what the camera sees without contact."""
-    grid = Grid(scene.gel)
+def rest_membrane(scene: Scene, spacing: float = GRID_SPACING) -> Membrane:
+    """The undeformed coated surface: what the camera sees without contact; `spacing` of the material grid [m]."""
+    grid = Grid(scene.gel, spacing)
     centres = marker_layout(scene).centres
     return grid.membrane(np.zeros((len(grid.places), 3)), _at_rest(scene.gel, centres))
 

@@ -1,9 +1,7 @@
-"""Measures a sensor's light field with the path tracer, once, and how far pictures made from it are from path-traced ones.
+"""Measures a sensor's light field, once, and how far pictures made from it are from path-traced ones.
 
-*Local part.* One picture holds a hundred thousand measurements: every pixel sees a tile of its own, at one height, whose shading normal is
-chosen freely, so all normals are visited at all places, and nothing casts a shadow or sends light to another. For every normal of the table
-a cubic B-spline in place is fitted by least squares, for each of two heights and each light by itself; then the colours of a light are
-reduced to as few components as hold all but 0.3 % of it. What the paint of markers returns is measured likewise.
+*Local part.* An integral over each lamp at every place and normal of the table (`optics.unshadowed`), exact at the nodes; then the colours
+of a light are reduced to as few components as hold all but 0.3 % of it. What the paint of markers returns falls out.
 
 *Light from elsewhere.* On bumpy probe membranes the difference of the two modes, path and direct, is fitted per channel by a gain times the
 estimate of `optics.baked` and a smooth function of place (what the window throws back).
@@ -37,10 +35,11 @@ from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
 from gelsim.optics.isp import develop, without_noise
 from gelsim.optics.probes import bumpy_membrane, dented_membrane
-from gelsim.optics.render import Renderer
+from gelsim.optics.render import Renderer, drawn_by
+from gelsim.optics.spectra import light_colour
+from gelsim.optics.unshadowed import unshadowed_light
 from gelsim.optics.variant import VariantChoice
-from gelsim.results import Membrane
-from gelsim.scene.definition import Coating, Render, Scene
+from gelsim.scene.definition import Render, Scene
 
 NORMALS = 40
 """Of n_x and of n_y: steps of 0.05; a straight line across the end of a light's cosine errs by a 160th of the light's full strength."""
@@ -48,17 +47,17 @@ STEEPEST = 0.96
 """n_x and n_y of the outermost nodes: 74 degrees."""
 PLACES = (20, 15)
 """Nodes of x and y: steps of 1 mm, over which a light 20 mm away bends from a straight line by 0.2 %."""
-SPLINES = (9, 8)
-"""Cubic B-splines over x and y in the fit."""
-TILE_SPP, TILE_PICTURES = 16, 3
-"""Baked pictures of a Mini's six strips are 39.5 dB from traced ones, with 4 paths a pixel 34.6, with 64 40.2 (in twice the time)."""
 HEIGHTS_MM = (-0.4, -2.0)
 """Of the two layers; a dome's rim and a deep dent reach 3 mm."""
 RANK_LEFT = 3e-3
 PROBES, PROBE_SPP = 6, 16
-UNSEEN, UNSEEN_SPP = 8, 32
-"""Paths of each of two pictures of a membrane, whose noise is not the other's."""
+UNSEEN, UNSEEN_SPP = 8, 16
+"""Paths of each of two pictures of a membrane, whose noise is not the other's. With 8 a fingertip2017's worst is told as 43.3 dB, with 16
+44.2, with 32 44.3."""
 PROBE_RESOLUTION = 240
+PROBE_SPACING = 0.16e-3
+"""Of the membranes' grids [m], twice a press's: pictures of 44 other surfaces are then 46.9 dB from traced ones as with 0.08, in half the
+time; 0.24 mm: 46.8."""
 
 AFTER_LIGHT = (
     "resolution",
@@ -81,7 +80,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def light_field(scene: Scene, variant: VariantChoice, progress: Progress | None = None) -> LightField:
-    """The scene's light field: from the cache, or measured now (a minute or two) and kept there."""
+    """The scene's light field: from the cache, or measured now (seconds) and kept there."""
     path = field_path(scene)
     found = read_field(path)
     if found is None:
@@ -143,7 +142,7 @@ def measure(scene: Scene, variant: VariantChoice, progress: Progress = lambda *_
     start = time.perf_counter()
     scene = scene.replace(camera=replace(scene.camera, rest=None, rest_smooth=()))
     plain = scene.replace(markers=replace(scene.markers, layout="none"), coating=replace(scene.coating, grain=0.0))
-    total = len(scene.lights.lights) * len(HEIGHTS_MM) * TILE_PICTURES + len(HEIGHTS_MM) + 2 * PROBES + UNSEEN
+    total = len(scene.lights.lights) + 2 * PROBES + UNSEEN
     done = 0
 
     def tick() -> None:
@@ -151,46 +150,13 @@ def measure(scene: Scene, variant: VariantChoice, progress: Progress = lambda *_
         done += 1
         progress("light field", done, total)
 
-    table, places, colours, light_of = _measure_local(plain, variant, tick)
-    size = table.shape[4]
-    unfitted = LightField(
-        table, np.array(HEIGHTS_MM, np.float32), places, STEEPEST, colours, light_of, np.zeros((size, size), np.float32),
-        np.zeros(3, np.float32), np.zeros((*table.shape[1:3], 4), np.float32),
-    )  # fmt: skip
-    with_paint = replace(unfitted, paint=_measure_paint(plain, variant, unfitted, tick))
-    whole = _fit_indirect(plain, variant, with_paint, tick)
+    whole = _fit_indirect(plain, variant, _measure_local(drawn_by(plain, variant), tick), tick)
     errors = _measure_error(plain, variant, whole, tick)
     errors["seconds"] = round(time.perf_counter() - start, 1)
     return replace(whole, errors=errors)
 
 
 # ---- the local part ----
-
-
-def _tile_scene(scene: Scene) -> Scene:
-    """At a resolution of whole blocks of tiles, each block with every normal once."""
-    width, height = scene.render.resolution
-    across = 16 * NORMALS
-    down = max(round(across * height / width / NORMALS), 2) * NORMALS
-    return scene.replace(render=replace(scene.render, mode="direct", spp=TILE_SPP, resolution=(across, down)))
-
-
-def _tiles(scene: Scene, z_mm: float, rng: np.random.Generator) -> tuple[Membrane, NDArray[np.int64], NDArray[np.float64]]:
-    """A sheet of flat tiles, one a pixel; the table's node that each shows, shape (H, W); and the pixels' places [mm], (H, W, 2)."""
-    width, height = scene.render.resolution
-    column, row = np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0))
-    rays = straight_rays(scene, column.ravel(), row.ravel())
-    corners = (rays[:, :2] + rays[:, 2:] * z_mm).reshape(height + 1, width + 1, 2)
-    places = (corners[1:, 1:] + corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:]) / 4
-    blocks = [[rng.permutation(NORMALS**2).reshape(NORMALS, NORMALS) for _ in range(width // NORMALS)] for _ in range(height // NORMALS)]
-    node = np.block(blocks)
-    four = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2).reshape(-1, 2)
-    positions = np.column_stack([four, np.full(len(four), z_mm)]) * 1e-3
-    normals = np.repeat(_node_normals()[node.ravel()], 4, axis=0)
-    first = 4 * np.arange(width * height)[:, None]
-    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]]).astype(np.int32)
-    uv = np.full((len(four), 2), 0.5)
-    return Membrane(positions, normals, uv, faces, np.zeros((0, 3))), node, places
 
 
 def _node_normals() -> NDArray[np.float64]:
@@ -202,102 +168,60 @@ def _node_normals() -> NDArray[np.float64]:
     return np.column_stack([flat, np.sqrt(1 - (flat**2).sum(axis=1))])
 
 
-def _measure_local(
-    scene: Scene, variant: VariantChoice, tick: Callable[[], None]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-    from threadpoolctl import threadpool_limits
-
-    tiled = _tile_scene(scene)
-    rng = np.random.default_rng(0)
-    sheets = [[_tiles(tiled, z, rng) for _ in range(TILE_PICTURES)] for z in HEIGHTS_MM]
-    # The layers' own places, and those of the gel at its highest, which are a little wider.
-    width, height = tiled.render.resolution
-    corner_rays = straight_rays(tiled, np.array([0.0, width, 0.0, width]), np.array([0.0, 0.0, height, height]))
-    everywhere = np.concatenate([corner_rays[:, :2], *(places.reshape(-1, 2) for layer in sheets for _, _, places in layer)])
-    low, high = everywhere.min(axis=0), everywhere.max(axis=0)
-    lights = tiled.lights.lights
-    renderers = [Renderer(tiled.replace(lights=replace(tiled.lights, lights=(light,))), variant) for light in lights]
-    pictures: list[list[list[NDArray]]] = [[[] for _ in sheets] for _ in lights]
-    for level, layer in enumerate(sheets):
-        for number, (sheet, _, _) in enumerate(layer):
-            for light, drawn in zip(pictures, Renderer.radiances(renderers, sheet, seed=number), strict=True):
-                light[level].append(drawn)
-                tick()
-    layers = []
-    for level, layer in enumerate(sheets):
-        nodes = np.concatenate([node.ravel() for _, node, _ in layer])
-        order = np.argsort(nodes, kind="stable")
-        places = np.concatenate([places.reshape(-1, 2) for _, _, places in layer])[order].reshape(NORMALS**2, -1, 2)
-        seen = [np.concatenate([p.reshape(-1, 3) for p in light[level]])[order].reshape(NORMALS**2, -1, 3) for light in pictures]
-        # A thousand and more small products: threads would only wait for each other.
-        with threadpool_limits(1):
-            layers.append(_fit_places(places, np.concatenate(seen, axis=2), low, high))
-    # (2, R, C, M², lights, 3)
-    values = np.stack(layers).reshape(2, PLACES[1], PLACES[0], NORMALS**2, len(lights), 3)
+def _measure_local(scene: Scene, tick: Callable[[], None]) -> LightField:
+    """The field without light from elsewhere, for a coat without markers and grain."""
+    places = _seen_places(scene)
+    x, y = (np.linspace(*ends, count) for ends, count in zip(places, PLACES, strict=True))
+    points = np.stack(np.meshgrid(HEIGHTS_MM, y, x, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
+    coat, size = scene.coating, (2, PLACES[1], PLACES[0], NORMALS, NORMALS)
+    pigment = (1 - coat.specular) * np.clip(coat.albedo, 0, 1) / np.pi
+    flakes = coat.specular * np.clip(coat.flake_reflectance, 0, 1)
     components, colours, light_of = [], [], []
-    for number in range(len(lights)):
-        flat = values[..., number, :].reshape(-1, 3)
-        power, axes = np.linalg.eigh(flat.T @ flat)
+    painted = coated = np.zeros(NORMALS**2)
+    for number, light in enumerate(scene.lights.lights):
+        received, reflected = unshadowed_light(scene, light, points, -_node_normals())
+        colour = light_colour(light)
+        painted = painted + received.sum(axis=0) * (colour.sum() * scene.markers.albedo / np.pi)
+        coated = coated + received.sum(axis=0) * (colour @ pigment) + reflected.sum(axis=0) * (colour @ flakes)
+        # Of all that it sends, seen as E and F of unit colours: which two directions of colour hold how much of it.
+        both = np.stack([received.ravel(), reflected.ravel()])
+        shades = np.stack([colour * pigment, colour * flakes])
+        power, axes = np.linalg.eigh(shades.T @ (both @ both.T) @ shades)
         for rank in (2, 1, 0):
-            colour = axes[:, rank] * (1 if axes[:, rank].sum() >= 0 else -1)
-            components.append(flat @ colour)
-            colours.append(colour)
+            axis = axes[:, rank] * (1 if axes[:, rank].sum() >= 0 else -1)
+            components.append((shades @ axis) @ both)
+            colours.append(axis)
             light_of.append(number)
             if power[:rank].sum() <= RANK_LEFT**2 * power.sum():
                 break
+        tick()
     unused = -len(components) % PACKET
-    table = np.stack([*components, *[np.zeros_like(components[0])] * unused], axis=-1)
-    table = table.reshape(2, PLACES[1], PLACES[0], NORMALS, NORMALS, -1).astype(np.float32)
-    colour_rows = np.array([*colours, *[np.zeros(3)] * unused], np.float32)
-    return table, np.stack([low, high], axis=1).astype(np.float32), colour_rows, np.array(light_of + [-1] * unused, np.int32)
+    table = np.stack([*components, *[np.zeros_like(components[0])] * unused], axis=-1).reshape(*size, -1).astype(np.float32)
+    paint = np.clip(painted / np.maximum(coated, 1e-9 * coated.max()), 0, 10)
+    return LightField(
+        table, np.array(HEIGHTS_MM, np.float32), places.astype(np.float32), STEEPEST,
+        np.array([*colours, *[np.zeros(3)] * unused], np.float32), np.array(light_of + [-1] * unused, np.int32),
+        paint.reshape(NORMALS, NORMALS).astype(np.float32), np.zeros(3, np.float32), np.zeros((*size[1:3], 4), np.float32),
+    )  # fmt: skip
 
 
-def _fit_places(places: NDArray, seen: NDArray, low: NDArray, high: NDArray) -> NDArray[np.float64]:
-    """Least squares in place for every normal: places (M², S, 2), seen (M², S, Q) to values at the table's places (R, C, M², Q)."""
-    knots = [np.r_[[a] * 3, np.linspace(a, b, count - 2), [b] * 3] for a, b, count in zip(low, high, SPLINES, strict=True)]
-    count = SPLINES[0] * SPLINES[1]
-    # Second differences of the coefficients weigh a hundredth of a sample each: they settle what few samples leave open.
-    bend = [np.diff(np.eye(count), 2, axis=0) for count in SPLINES]
-    stiff = [np.kron(np.eye(SPLINES[1]), bend[0]), np.kron(bend[1], np.eye(SPLINES[0]))]
-    wiggle = sum(part.T @ part for part in stiff)
-    coefficients = np.empty((len(places), count, seen.shape[2]))
-    for first in range(0, len(places), 100):
-        chosen = slice(first, first + 100)
-        basis = _spline_basis(knots, places[chosen].reshape(-1, 2)).reshape(-1, places.shape[1], count)
-        normal = basis.transpose(0, 2, 1) @ basis
-        scale = np.trace(normal, axis1=1, axis2=2)[:, None, None] / count
-        coefficients[chosen] = np.linalg.solve(normal + 1e-2 * scale * wiggle, basis.transpose(0, 2, 1) @ seen[chosen])
-    x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, PLACES, strict=True))
-    nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return np.tensordot(_spline_basis(knots, nodes), coefficients, axes=(1, 1))
+def _seen_places(scene: Scene) -> NDArray[np.float64]:
+    """First and last x, first and last y [mm] of what the camera sees of the gel at its highest and in the layers, shape (2, 2)."""
+    width, height = scene.render.resolution
+    along, ends = np.linspace(0, 1, 65), np.array([0.0, 1.0])
+    column, row = np.concatenate([np.reshape(np.meshgrid(along, ends), (2, -1)), np.reshape(np.meshgrid(ends, along), (2, -1))], axis=1)
+    rays = straight_rays(scene, column * width, row * height)
+    met = np.concatenate([rays[:, :2] + rays[:, 2:] * z for z in (0.0, *HEIGHTS_MM)])
+    return np.stack([met.min(axis=0), met.max(axis=0)], axis=1)
 
 
 def _spline_basis(knots: list[NDArray], places: NDArray) -> NDArray[np.float64]:
-    """Tensor cubic B-splines, x fastest: (N, SPLINES[0] * SPLINES[1])."""
+    """Tensor cubic B-splines over x and y, x fastest: (N, splines of x times those of y)."""
     from scipy.interpolate import BSpline
 
     inside = [np.clip(places[:, axis], k[0], k[-1]) for axis, k in enumerate(knots)]
     along = [BSpline.design_matrix(value, k, 3).toarray() for value, k in zip(inside, knots, strict=True)]
     return (along[1][:, :, None] * along[0][:, None, :]).reshape(len(places), -1)
-
-
-def _measure_paint(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> NDArray[np.float32]:
-    """By normal, what markers' paint returns as share of what the coat does: mean over places and channels."""
-    paint = scene.markers.albedo
-    tiled = _tile_scene(scene.replace(coating=Coating(albedo=(paint, paint, paint), specular=0.0)))
-    renderer = Renderer(tiled, variant)
-    painted, coated = np.zeros(NORMALS**2), np.zeros(NORMALS**2)
-    rng = np.random.default_rng(1)
-    for z in HEIGHTS_MM:
-        sheet, node, places = _tiles(tiled, z, rng)
-        picture = renderer.radiance(sheet).sum(axis=2)
-        points = np.column_stack([places.reshape(-1, 2), np.full(node.size, z)])
-        coat = (light_field.local(points, _node_normals()[node.ravel()]) @ light_field.colours).sum(axis=1)
-        painted += np.bincount(node.ravel(), picture.ravel(), NORMALS**2)
-        coated += np.bincount(node.ravel(), coat, NORMALS**2)
-        tick()
-    ratio = np.clip(painted / np.maximum(coated, 1e-9 * coated.max()), 0, 10)
-    return ratio.reshape(NORMALS, NORMALS).astype(np.float32)
 
 
 # ---- light from elsewhere, and the error ----
@@ -310,7 +234,7 @@ def _small(scene: Scene, mode: str, spp: int) -> Scene:
 
 def _fit_indirect(scene: Scene, variant: VariantChoice, light_field: LightField, tick: Callable[[], None]) -> LightField:
     small = _small(scene, "path", PROBE_SPP)
-    membranes = [rest_membrane(small), *(bumpy_membrane(small, seed) for seed in range(PROBES - 1))]
+    membranes = [rest_membrane(small, PROBE_SPACING), *(bumpy_membrane(small, seed, PROBE_SPACING) for seed in range(PROBES - 1))]
     renderers = [Renderer(_small(scene, mode, PROBE_SPP), variant) for mode in ("path", "direct")]
     traced, direct = [], []
     for membrane in membranes:
@@ -352,7 +276,7 @@ def _measure_error(scene: Scene, variant: VariantChoice, light_field: LightField
     quiet = without_noise(small)
     squared, distances, levels = [], [], []
     for seed in range(UNSEEN):
-        membrane = dented_membrane(small, seed)
+        membrane = dented_membrane(small, seed, PROBE_SPACING)
         light = [traced.radiance(membrane, seed=number) for number in (0, 1)]
         one, other, whole, drawn = (develop(quiet, picture) for picture in (*light, np.mean(light, axis=0), baked.radiance(membrane)))
         squared.append(np.mean((one.astype(float) - drawn) * (other.astype(float) - drawn)))  # their noise has no mean in it

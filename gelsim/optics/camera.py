@@ -165,6 +165,19 @@ def project(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     return _distorted(lens, ideal) + np.array(lens.centre)
 
 
+def direction_to_eye(scene: Scene, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Unit directions in the gel from points [mm] toward the pinhole, both (P, 3)."""
+    lens = make_lens(scene, 1.0)
+    sideways_by = points[:, :2] - np.array(lens.foot)
+    reach = np.linalg.norm(sideways_by, axis=1)
+    window, (gel, gel_index) = lens.layers
+    slope = solve_slope(reach, lens.air, (window, (gel + points[:, 2], gel_index)))
+    in_gel = slope / np.sqrt(gel_index**2 + (gel_index**2 - 1) * slope**2)
+    scale = np.divide(in_gel, reach, out=np.zeros_like(reach), where=reach > 0)
+    way = np.column_stack([-sideways_by * scale[:, None], -np.ones(len(points))])
+    return way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
 def _distorted(lens: Lens, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pixels from the centre, of the ideal ones: solves g (1 + k₁ρ² + k₂ρ⁴) = ideal by Newton's method along the radius."""
     if lens.distortion == (0.0, 0.0):

@@ -2,7 +2,7 @@
 
 Both are the gel at rest pushed in along z: -z' = max over bodies, made smooth at the contact's edge as a gel's surface is, by a blur of a
 width drawn for each. Slopes reach 60 degrees and depths 1.2 mm. The two families share no shape: smooth bells and ridges to fit by; balls,
-rods, boxes, wedges and rings to judge by.
+rods, boxes, wedges and rings to judge by. `spacing` [m] is that of the material grid.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from gelsim.results import Membrane
 from gelsim.scene.definition import Scene
 
 
-def pressed_membrane(scene: Scene, depth: NDArray[np.floating]) -> Membrane:
+def pressed_membrane(scene: Scene, depth: NDArray[np.floating], spacing: float = GRID_SPACING) -> Membrane:
     """The gel at rest with its surface moved by -depth [m] along z; one value a vertex. Markers move with it."""
-    rest = rest_membrane(scene)
+    rest = rest_membrane(scene, spacing)
     columns, rows = _grid(rest)
     positions = rest.positions.copy()
     positions[:, 2] -= depth
@@ -33,10 +33,11 @@ def pressed_membrane(scene: Scene, depth: NDArray[np.floating]) -> Membrane:
     return Membrane(positions, normals, rest.uv, rest.faces, centres)
 
 
-def bumpy_membrane(scene: Scene, seed: int) -> Membrane:
+def bumpy_membrane(scene: Scene, seed: int, spacing: float = GRID_SPACING) -> Membrane:
     """Bells and ridges of many sizes all over the gel."""
     rng = np.random.default_rng([7, seed])
-    x, y, fade = _places(scene)
+    rest = rest_membrane(scene, spacing)
+    x, y, fade = _places(scene, rest)
     depth = np.zeros_like(x)
     for _ in range(9):
         centre = rng.uniform(-0.42, 0.42, 2) * np.array(scene.gel.size_mm)
@@ -47,13 +48,14 @@ def bumpy_membrane(scene: Scene, seed: int) -> Membrane:
         # A bell's steepest slope is height over width times 0.6: up to 58 degrees.
         height = rng.uniform(0.2, min(1.2, 2.6 * width))
         depth = np.maximum(depth, height * np.exp(-((u / stretch) ** 2 + v**2) / (2 * width**2)))
-    return pressed_membrane(scene, _blurred(scene, depth * fade, 0.1) * 1e-3)
+    return pressed_membrane(scene, _blurred(rest, depth * fade, 1e-4 / spacing) * 1e-3, spacing)
 
 
-def dented_membrane(scene: Scene, seed: int) -> Membrane:
+def dented_membrane(scene: Scene, seed: int, spacing: float = GRID_SPACING) -> Membrane:
     """One or two rigid bodies pressed in: ball, rod, box, wedge or ring."""
     rng = np.random.default_rng([11, seed])
-    x, y, fade = _places(scene)
+    rest = rest_membrane(scene, spacing)
+    x, y, fade = _places(scene, rest)
     total = np.zeros_like(x)
     for number in range(1 + seed % 2):
         centre = rng.uniform(-0.25, 0.25, 2) * np.array(scene.gel.size_mm)
@@ -73,7 +75,7 @@ def dented_membrane(scene: Scene, seed: int) -> Membrane:
         else:
             body = deep - (1.0 - np.sqrt(np.maximum(1.0 - (away - radius / 2) ** 2, 0)))
         total = np.maximum(total, np.maximum(body, 0))
-    return pressed_membrane(scene, _blurred(scene, total * fade, rng.uniform(0.2, 0.45)) * 1e-3)
+    return pressed_membrane(scene, _blurred(rest, total * fade, rng.uniform(0.2e-3, 0.45e-3) / spacing) * 1e-3, spacing)
 
 
 def _grid(membrane: Membrane) -> tuple[int, int]:
@@ -81,16 +83,16 @@ def _grid(membrane: Membrane) -> tuple[int, int]:
     return columns, len(membrane.uv) // columns
 
 
-def _places(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _places(scene: Scene, rest: Membrane) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """x and y of the vertices [mm], and a factor that leaves the gel's rim where it is."""
-    rest = rest_membrane(scene)
     x, y = rest.positions[:, 0] * 1e3, rest.positions[:, 1] * 1e3
     half = np.array(scene.gel.size_mm) / 2
     return x, y, np.clip((half[0] - abs(x)) / 2, 0, 1) * np.clip((half[1] - abs(y)) / 2, 0, 1)
 
 
-def _blurred(scene: Scene, depth: NDArray[np.float64], width_mm: float) -> NDArray[np.float64]:
+def _blurred(rest: Membrane, depth: NDArray[np.float64], cells: float) -> NDArray[np.float64]:
+    """By a Gaussian of so many cells of the grid."""
     from scipy.ndimage import gaussian_filter
 
-    columns, rows = _grid(rest_membrane(scene))
-    return gaussian_filter(depth.reshape(rows, columns), width_mm * 1e-3 / GRID_SPACING, mode="nearest").ravel()
+    columns, rows = _grid(rest)
+    return gaussian_filter(depth.reshape(rows, columns), cells, mode="nearest").ravel()

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from gelsim.membrane.surface import rest_membrane
-from gelsim.optics import choose_variant
-from gelsim.optics.reference import irradiance, lambert_plane
+from gelsim.optics import choose_variant, unshadowed
+from gelsim.optics.reference import irradiance, lambert_plane, plane_points
 from gelsim.optics.render import Renderer
+from gelsim.optics.spectra import light_colour
+from gelsim.optics.tracer import OFFSET
 from gelsim.optics.variant import SCALAR
 from gelsim.scene.definition import Camera, Coating, Gel, Light, Lights, Markers, Render, Scene
 
@@ -82,6 +84,46 @@ def test_planted_faults_are_seen(plane):
     brighter = plane.replace(coating=replace(plane.coating, albedo=tuple(1.02 * a for a in plane.coating.albedo)))
     for fault in (rotated, brighter):
         assert np.abs(tile_scores(estimates(fault, SCALAR), expected)).max() > LIMIT
+
+
+@pytest.mark.parametrize("fault", [None, "mirror", "lobe", "flakes", "turned"])
+def test_unshadowed_light_is_what_is_drawn(plane, fault, monkeypatch):
+    """Tilted pieces of coat by the sums of `optics.unshadowed` and by the tracer: lamp, its image, its lobe, pigment and flakes."""
+    # 24 cells a side, as above.
+    monkeypatch.setattr(unshadowed, "MIDDLES", (np.arange(24) + 0.5) / 12 - 1)
+    variant = choose_variant("cpu")
+    if variant == SCALAR:
+        pytest.skip("scalar variants draw neither images nor lobes")
+    # The third is above the window's outer face, and has an image in it.
+    strip = Light("strip", (0.0, -13.5, -3.0), (0.0, 13.5, 1.0), (4.0, 1.0), (1.0, 1.0, 0.2), 100.0)
+    lights = (replace(plane.lights.lights[0], lobe=3.0), plane.lights.lights[1], strip)
+    coating = Coating(albedo=(0.5, 0.4, 0.6), specular=0.4, roughness=0.4, flake_reflectance=(0.9, 0.8, 0.7))
+    scene = plane.replace(lights=replace(plane.lights, lights=lights, window_reflection=True), coating=coating)
+    rest, renderer = rest_membrane(scene), Renderer(scene, variant)
+    # Out of the gel: upright, and leaning two ways by 11 degrees; all of the lamps stays above the horizon.
+    normals = np.array([[0.0, 0.0, 1.0], [0.2, 0.0, np.sqrt(0.96)], [-0.12, 0.16, np.sqrt(0.96)]])
+    drawn = [replace(rest, normals=np.tile(normal, (len(rest.positions), 1))) for normal in normals]
+    pictures = np.array([[renderer.radiance(membrane, seed) for membrane in drawn] for seed in range(SEEDS)], float)
+    spoiled = {
+        "mirror": replace(scene.lights, window_reflection=False),
+        "lobe": replace(scene.lights, lights=(replace(lights[0], lobe=2.8), *lights[1:])),
+    }
+    summed = scene.replace(lights=spoiled.get(fault, scene.lights))
+    share = coating.specular * (0.95 if fault == "flakes" else 1.0)
+    points = plane_points(scene).reshape(-1, 3) * 1e3
+    turn = [[np.cos(0.02), np.sin(0.02), 0], [-np.sin(0.02), np.cos(0.02), 0], [0, 0, 1]]
+    expected = np.zeros((len(normals), *pictures.shape[2:]))
+    for number, normal in enumerate(normals @ turn if fault == "turned" else normals):
+        for light in summed.lights.lights:
+            # Where the tracer's rays start: light 20 mm away is stronger by 1e-4 there.
+            received, flakes = unshadowed.unshadowed_light(summed, light, points - OFFSET * normal, -normal[None])
+            for shown, albedo in (
+                (received, 0.6 * np.array(coating.albedo) / np.pi),
+                (flakes, share * np.array(coating.flake_reflectance)),
+            ):
+                expected[number] += (shown * albedo * light_colour(light)).reshape(expected[number].shape)
+    scores = np.array([tile_scores(pictures[:, number], expected[number]) for number in range(len(normals))])
+    assert (np.abs(scores).max() < LIMIT) == (fault is None)
 
 
 def test_small_far_light_is_a_point():

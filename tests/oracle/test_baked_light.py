@@ -37,7 +37,7 @@ def small_sensor(azimuth_deg: float = 0.0, albedo: float = 0.45) -> Scene:
 
 
 def test_bake_is_near_path_and_a_wrong_one_is_not(monkeypatch):
-    for name, value in {"NORMALS": 32, "PLACES": (10, 8), "SPLINES": (6, 5), "PROBES": 4, "UNSEEN": 5, "UNSEEN_SPP": 100}.items():
+    for name, value in {"NORMALS": 32, "PLACES": (10, 8), "PROBES": 4, "UNSEEN": 5, "UNSEEN_SPP": 100}.items():
         monkeypatch.setattr(bake, name, value)
     variant = choose_variant("cpu")
     scene = small_sensor()
