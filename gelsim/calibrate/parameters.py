@@ -229,8 +229,8 @@ def dome_of(gel: Gel, curvature: float) -> Gel:
 
 def curvature_of(gel: Gel) -> float:
     """1/R_d [1/mm] of a gel's dome, 0 of a flat one."""
-    if gel.profile == "cylinder":
-        raise SceneError('gel.profile = "cylinder": calibration takes gels that are flat or of one curvature, "flat", "dome" or "sphere"')
+    if gel.profile in ("cylinder", "mesh"):
+        raise SceneError(f'gel.profile = "{gel.profile}": calibration takes gels of one curvature, "flat", "dome" or "sphere"')
     drop, half = gel.thickness_mm - gel.edge_mm, gel.half_width_mm
     return 2 * drop / (half**2 + drop**2)
 

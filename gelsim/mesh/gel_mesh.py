@@ -75,13 +75,20 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     pieces = _folded_rims(rims, area)
     for share in _FOLDED:
         vertices, tets = _block(low, high, replace(field, far=share * field.far), area.stretch, pieces)
-        mesh = _domed(scene.gel, _ten_node(low, high, vertices, tets, area))
+        mesh = _ten_node(low, high, vertices, tets, area)
+        # The pad of a file is its own mirror image in no plane.
+        mesh = _domed(scene.gel, _whole(mesh, area, symmetry) if scene.gel.profile == "mesh" else mesh)
         smallest = float(jacobian_determinants(mesh.rest_positions, mesh.tets).min())
         if smallest > 0.0:
             break
     else:
         what = f"a folded one (smallest Jacobian {smallest / MM**3:.3g} mm³)"
         raise MeshingError(f"filling the gel with tetrahedra left {what}; try another fidelity, or a thicker gel.edge_thickness_mm")
+    return mesh if scene.gel.profile == "mesh" else _whole(mesh, area, symmetry)
+
+
+def _whole(mesh: TetMesh, area: Footprint, symmetry: frozenset[str]) -> TetMesh:
+    """What was meshed, on the side of the contact, with its mirror images in all planes but those of `symmetry`."""
     for axis, side in zip("xy", area.side, strict=True):
         mesh = flip(mesh, axis) if side < 0 else mesh
     return mirrored(mesh, symmetry)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from gelsim.data import lightfield
 from gelsim.data.lightfield import PACKET, LightField, read_field, write_field
-from gelsim.files import cache_folder
+from gelsim.files import cache_folder, digest
 from gelsim.membrane.surface import rest_membrane
 from gelsim.optics.baked import BakedRenderer, straight_rays
 from gelsim.optics.isp import develop, without_noise
@@ -117,6 +117,8 @@ def field_key(scene: Scene) -> str:
     for later in AFTER_LIGHT:
         camera.pop(later, None)
     shape = {name: gel[name] for name in ("profile", "size_mm", "thickness_mm", "edge_thickness_mm", "radius_mm") if gel[name] is not None}
+    if scene.gel.mesh is not None:
+        shape |= {name: gel[name] for name in ("mesh_unit", "mesh_scale", "bonded_side")} | {"mesh": digest(Path(scene.gel.mesh))}
     coating = dataclasses.asdict(scene.coating)
     for pattern in ("grain", "grain_size_mm"):
         coating.pop(pattern, None)
@@ -130,11 +132,11 @@ def field_key(scene: Scene) -> str:
         round(width / height, 3),
         [importlib.metadata.version(name) for name in ("mitsuba", "drjit")],
     ]
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     folder = Path(__file__).parent
     for source in sorted([*folder.glob("*.py"), Path(lightfield.__file__)]):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:32]
+        key.update(source.read_bytes())
+    return key.hexdigest()[:32]
 
 
 def measure(scene: Scene, variant: VariantChoice, progress: Progress = lambda *_: None) -> LightField:

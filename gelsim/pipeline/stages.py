@@ -443,7 +443,7 @@ def run(  # noqa: PLR0913 - a keyword for each flag of its command
     if render_frames:
         # What cannot be drawn should be known before minutes go into the press.
         scene, _ = _choose_renderer(scene, device, record)
-    content = "".join(digest(Path(file)) for file in (scene.object.mesh, scene.press.path_csv) if file)  # before minutes of solving
+    content = "".join(digest(Path(file)) for file in _files(scene))  # before minutes of solving
     earlier = _earlier_press(scene, content, folder.path, solving) if resume else None
     if earlier is None:
         try:
@@ -527,6 +527,11 @@ def _choose_renderer(scene: Scene, device: str, record: Record) -> tuple[Scene, 
     return scene, optics
 
 
+def _files(scene: Scene) -> list[str]:
+    """Those that decide the press beside the scene's own fields."""
+    return [file for file in (scene.object.mesh, scene.gel.mesh, scene.press.path_csv) if file]
+
+
 def _earlier_press(scene: Scene, content: str, out: Path, record: Record) -> tuple[Deformation, Scene] | None:
     """The press that lies in the folder and the scene that it was made for, if it is whole and of the same mechanics; fills `record`.
 
@@ -544,7 +549,7 @@ def _earlier_press(scene: Scene, content: str, out: Path, record: Record) -> tup
     deformation, account = outputs.read_press(out / "press.npz"), outputs.read_account(out / "press.npz")
     if deformation.status is not SolveStatus.CONVERGED:
         return None
-    files = [file for file in (scene.object.mesh, scene.press.path_csv) if file]
+    files = _files(scene)
     if files and account.get("mesh_sha256") != content:
         raise SceneError(
             f"--resume {out}: its press was made with another {' or '.join(files)}; give --force to solve it anew, or another --out"

@@ -33,7 +33,7 @@ class Sensor:
 @dataclass(frozen=True)
 class Gel:
     profile: str = "dome"
-    """"dome" | "flat" | "sphere" | "cylinder", whose axis lies along y."""
+    """"dome" | "flat" | "sphere" | "cylinder", whose axis lies along y | "mesh": the pad in the file named by mesh."""
     size_mm: Vec2 = (25.0, 25.0)
     thickness_mm: float = 2.4
     """The maximum, at the centre; the inner face is bonded to the rigid window."""
@@ -41,6 +41,14 @@ class Gel:
     """Thickness at the middle of each edge (dome only)."""
     radius_mm: float | None = None
     """Of curvature of the outer face (sphere and cylinder only)."""
+    mesh: str | None = None
+    """A closed STL, OBJ, PLY, OFF or GLB file (profile "mesh"): what of it stands over size_mm is the gel, thickness_mm at its thickest."""
+    mesh_unit: str = "mm"
+    """"mm" | "cm" | "m" | "in"."""
+    mesh_scale: float = 1.0
+    """Multiplies the file's numbers."""
+    bonded_side: str = "bottom"
+    """Which side of the file is flat and bonded: "bottom" (the lowest z), "top", "left" (the lowest x), "right", "front", "back"."""
     shore_00: float | None = None
     """Hardness, 1 to 99. Exactly one of shore_00, shore_a, youngs_modulus_kpa; none means Shore 00-17."""
     shore_a: float | None = None
@@ -462,6 +470,9 @@ def _default_hardness(section: Gel | Body, shore_00: float) -> None:
 
 def _check_curved(gel: Gel) -> None:
     """A radius where there is one to be given, and a gel that reaches its border."""
+    if (gel.profile == "mesh") != (gel.mesh is not None):
+        given = f"gel.profile = {gel.profile!r} and gel.mesh = {gel.mesh!r}"
+        raise SceneError(f'{given}: profile "mesh" needs an STL, OBJ, PLY, OFF or GLB file, the others have none')
     curved = gel.profile in ("sphere", "cylinder")
     if curved and gel.radius_mm is None:
         raise SceneError(f'gel.radius_mm is missing: gel.profile = "{gel.profile}" needs the radius of its outer face [mm]')

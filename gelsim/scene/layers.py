@@ -23,7 +23,7 @@ from gelsim.scene.fields import field_types, known_key, nearest
 PRESET_SECTIONS = ("gel", "camera", "lights", "coating", "markers")
 """What a sensor preset may fill."""
 
-PATHS = ("object.mesh", "press.path_csv", "sensor.preset", "camera.rest", "markers.places")
+PATHS = ("object.mesh", "gel.mesh", "press.path_csv", "sensor.preset", "camera.rest", "markers.places")
 """Fields that name a file: relative to the file that they stand in."""
 
 Layer = dict[str, Any]

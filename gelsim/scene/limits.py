@@ -13,7 +13,9 @@ from gelsim.units import MESH_UNITS, unit_of
 
 CHOICES: dict[str, Collection[str]] = {
     "fidelity": ("live", "fast", "balanced", "reference"),
-    "gel.profile": ("dome", "flat", "sphere", "cylinder"),
+    "gel.profile": ("dome", "flat", "sphere", "cylinder", "mesh"),
+    "gel.mesh_unit": tuple(MESH_UNITS),
+    "gel.bonded_side": ("bottom", "top", "left", "right", "front", "back"),
     "object.shape": SHAPES.keys(),
     "object.mesh_unit": tuple(MESH_UNITS),
     "object.press_side": ("bottom", "top", "left", "right", "front", "back"),
@@ -53,6 +55,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "object.angle_deg": (10, 170),
     "object.wall_mm": (0.2, 50),
     "object.edge_radius_mm": (0, 5),
+    "gel.mesh_scale": (1e-6, 1e6),
     "object.mesh_scale": (1e-6, 1e6),
     "object.rotation_deg": (-360, 360),
     "object.amplitude_mm": (0, 5),

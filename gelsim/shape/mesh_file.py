@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
 from gelsim.geometry import TriMesh, enclosed_volume
-from gelsim.scene.definition import Body
+from gelsim.scene.definition import Body, Gel
 from gelsim.scene.limits import MESH_SUFFIXES
 from gelsim.shape.orientation import is_reoriented, orientation
 from gelsim.units import MESH_UNITS, MM
@@ -81,10 +81,10 @@ class Part:
     """What a user should know of that, in sentences."""
 
 
-def file_stamp(body: Body) -> tuple[int, ...]:
-    """Changes when the object's file does: a key for caches beside the body; () without a file, or where it cannot be read."""
+def file_stamp(part: Body | Gel) -> tuple[int, ...]:
+    """Changes when the file of object or gel does: a key for caches beside it; () without a file, or where it cannot be read."""
     try:
-        found = os.stat(body.mesh or "")
+        found = os.stat(part.mesh or "")
     except OSError:
         return ()
     return found.st_mtime_ns, found.st_size, found.st_ino
@@ -115,7 +115,7 @@ def check_file(fields: Mapping[str, Any]) -> None:
 
 @lru_cache(maxsize=8)
 def _part(body: Body, stamp: tuple[int, ...]) -> Part:
-    vertices, faces, done = _welded(str(body.mesh), stamp)
+    vertices, faces, done = welded(str(body.mesh), stamp)
     named, kind = f'object.mesh = "{body.mesh}"', "rigid" if body.rigid else "soft"
     done, notes = dict(done), []
     vertices = vertices * (MESH_UNITS[body.mesh_unit] * body.mesh_scale)
@@ -176,11 +176,15 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
 
 
 @lru_cache(maxsize=4)
-def _welded(path: str, stamp: tuple[int, ...]) -> tuple[Array, Faces, dict[str, object]]:
-    """Vertices in the file's unit, no two at one place, faces alike in orientation where they can be, and what was done."""
+def welded(path: str, stamp: tuple[int, ...], field: str = "object.mesh") -> tuple[Array, Faces, dict[str, object]]:
+    """Vertices in the file's unit, no two at one place, faces alike in orientation where they can be, and what was done.
+
+    Raises:
+        SceneError: The file that `field` names is missing, too large, or no surface.
+    """
     import trimesh
 
-    named = f'object.mesh = "{path}"'
+    named = f'{field} = "{path}"'
     allowed = "STL, OBJ, PLY, OFF or GLB file"
     try:
         size = os.stat(path).st_size
@@ -262,6 +266,11 @@ def _area_vectors(corners: Array) -> Array:
 
 def _volume(vertices: Array, faces: Faces) -> float:
     return enclosed_volume(TriMesh(vertices, faces.astype(np.int32)))
+
+
+def open_edges(vertices: Array, faces: Faces) -> int:
+    """Edges that are passed more often one way than the other."""
+    return _Rims(vertices, faces).edges
 
 
 class _Rims:

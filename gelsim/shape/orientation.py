@@ -34,9 +34,14 @@ def turned(degrees: Sequence[float] | Array) -> Array:
     return about(2, z) @ about(1, y) @ about(0, x)
 
 
+def side_down(side: str) -> Array:
+    """The turn that brings a side of a file to the bottom, (3, 3)."""
+    return about(*_SIDES[side])
+
+
 def orientation(body: Body) -> Array:
     """From the frame of the shape or of the file to how it stands, (3, 3)."""
-    return turned(body.rotation_deg) @ about(*_SIDES[body.press_side])
+    return turned(body.rotation_deg) @ side_down(body.press_side)
 
 
 @lru_cache(maxsize=64)

@@ -27,6 +27,7 @@ from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import file_stamp, read_part
 from gelsim.shape.orientation import is_reoriented, orientation, turned
 from gelsim.shape.outlines import PLANES, Profile, bore, profile, sides, underside
+from gelsim.shape.pad import pad_height
 from gelsim.shape.solids import (
     HULL_STEP,
     Array,
@@ -69,11 +70,11 @@ def shape_symmetry(body: Body) -> frozenset[str]:
 def press_symmetry(scene: Scene) -> frozenset[str]:
     """Mirror planes that object, gel and motion share, so that half or a quarter of both bodies is enough.
 
-    press.symmetry = "none" forbids it. Tilt about x, offset, shear and friction along y keep the plane x = 0; a twist keeps none. Markers
-    do not count: they carry no forces.
+    press.symmetry = "none" forbids it, as a pad from a file does. Tilt about x, offset, shear and friction along y keep the plane x = 0; a
+    twist keeps none. Markers do not count: they carry no forces.
     """
     press, way = scene.press, widest(scene)
-    if press.symmetry == "none" or way.turns[2]:
+    if press.symmetry == "none" or way.turns[2] or scene.gel.profile == "mesh":
         return frozenset()
     keeps = {"x": not (way.turns[1] or press.offset_mm[0] or way.sideways[0])}
     keeps["y"] = not (way.turns[0] or press.offset_mm[1] or way.sideways[1])
@@ -421,8 +422,10 @@ def gel_height(gel: Gel, xy: Array) -> Array:
     Flat: 0. Dome and sphere: a spherical cap with its top at the origin that leaves `edge_mm` at the middle of each side of a square gel
     (of a rectangle: of its short sides, which are farther from the centre). The corners of a square lie deeper on the sphere than the
     middles of its sides, for the default dome even below the window: there the gel keeps a land of half the edge thickness. Cylinder:
-    likewise across its axis.
+    likewise across its axis. Mesh: `pad_height`.
     """
+    if gel.profile == "mesh":
+        return pad_height(gel, xy)
     if gel.edge_mm == gel.thickness_mm:
         return np.zeros(len(xy))
     half, drop = gel.half_width_mm * MM, (gel.thickness_mm - gel.edge_mm) * MM
@@ -445,7 +448,7 @@ def _first_touch(scene: Scene, stamp: tuple[int, ...]) -> tuple[QuadraticSurface
 
 def first_touch(scene: Scene) -> tuple[QuadraticSurface, Array, Array]:
     """The object's surface, as if it were rigid, and its `placement` on the gel."""
-    return _first_touch(scene, file_stamp(scene.object))
+    return _first_touch(scene, file_stamp(scene.object) + file_stamp(scene.gel))
 
 
 def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
