@@ -40,9 +40,11 @@ def unshadowed_light(
     facing = np.asarray(normals, np.float32)
     received, flakes = np.zeros((2, len(points), len(normals)), np.float32)
     to_eye = direction_to_eye(scene, points)
-    alpha = scene.coating.roughness
+    alpha, pose = scene.coating.roughness, light_pose(light)
+    along, up = np.meshgrid(MIDDLES, MIDDLES)
+    places = pose[:3, 3] + along.reshape(-1, 1) * pose[:3, 0] + up.reshape(-1, 1) * pose[:3, 1]
     for number, (point, eye) in enumerate(zip(points, to_eye, strict=True)):
-        ways, weights = _sources(scene, light, point)
+        ways, weights = _sources(scene, light, places, point)
         cosine = np.maximum(facing @ ways.T.astype(np.float32), 0)
         weights = weights.astype(np.float32)
         received[number] = cosine @ weights
@@ -67,19 +69,17 @@ def unshadowed_light(
     return received, flakes
 
 
-def _sources(scene: Scene, light: Light, point: NDArray[np.floating]) -> tuple[NDArray, NDArray]:
+def _sources(scene: Scene, light: Light, places: NDArray, point: NDArray[np.floating]) -> tuple[NDArray, NDArray]:
     """Directions from a point to places on a light and on its image, (S, 3), and the weights w of what comes from there, (S,)."""
-    pose = light_pose(light)
-    along, up = np.meshgrid(MIDDLES, MIDDLES)
-    places = pose[:3, 3] + along.reshape(-1, 1) * pose[:3, 0] + up.reshape(-1, 1) * pose[:3, 1]
-    ways, weights = _from(light, places - point, pose[:3, 2])
+    facing = np.array(light.direction) / math.hypot(*light.direction)
+    ways, weights = _from(light, places - point, facing)
     if not mirrored_light(scene, light):
         return ways, weights
     face, across = mirror_height(scene), np.array([1.0, 1.0, -1.0])
     image = places * across + [0, 0, 2 * face] - point
     meets = point[:2] + image[:, :2] * ((face - point[2]) / image[:, 2:])
     on_window = (np.abs(meets) < np.array(scene.gel.size_mm) / 2).all(axis=1)
-    mirrored, there = _from(light, image, pose[:3, 2] * across)
+    mirrored, there = _from(light, image, facing * across)
     # As in the tracer: the window counts as gel of its apparent thickness, its face reflects as its own.
     sine_squared = (scene.lights.gel_ior / scene.lights.window_ior) ** 2 * (1 - mirrored[:, 2] ** 2)
     share = reflectance(np.sqrt(np.maximum(1 - sine_squared, 0)), scene.lights.window_ior, 1.0)

@@ -94,8 +94,8 @@ def _height(gel: Gel, stamp: tuple[int, ...]) -> Height:
     if (steps := (np.abs(beside[:, :2]) < 2e-7).all(axis=1) & (np.abs(beside[:, 2]) > FLAT)).any():
         x, y, _ = upper[order][:-1][steps][0] / MM
         raise SceneError(f"{named}: its coated side has an upright step at {x:.3g} {y:.3g} mm; allowed: a surface without steps")
-    lines = [np.linspace(-side / 2, side / 2, max(int(np.ceil(side / STEP)) + 1, 4)) for side in size]
-    table = _heights(*lines, vertices[faces[above]], _gradients(faces[above], corners[above]))
+    x, y = (np.linspace(-side / 2, side / 2, int(np.ceil(side / STEP)) + 1) for side in size)
+    table = _heights(x, y, vertices[faces[above]], _gradients(faces[above], corners[above]))
     if np.isnan(table).any():
         raise SceneError(
             f"{named}: nothing of it is above {100 * np.isnan(table).mean():.3g} % of its bonded face; allowed: a pad without holes"
@@ -112,7 +112,7 @@ def _height(gel: Gel, stamp: tuple[int, ...]) -> Height:
             f"{named} thins out to {table.min() / MM:.3g} mm within gel.size_mm = {gel.size_mm[0]:g} "
             f"{gel.size_mm[1]:g} mm; allowed: {least:g} mm or more, or a smaller gel.size_mm"
         )
-    spline = RectBivariateSpline(*lines, table - gel.thickness_mm * MM)
+    spline = RectBivariateSpline(x, y, table - gel.thickness_mm * MM)
     return lambda xy: spline.ev(xy[:, 0], xy[:, 1])
 
 
