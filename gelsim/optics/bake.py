@@ -172,6 +172,8 @@ def _node_normals() -> NDArray[np.float64]:
 
 def _measure_local(scene: Scene, tick: Callable[[], None]) -> LightField:
     """The field without light from elsewhere, for a coat without markers and grain."""
+    from threadpoolctl import threadpool_limits
+
     places = _seen_places(scene)
     x, y = (np.linspace(*ends, count) for ends, count in zip(places, PLACES, strict=True))
     points = np.stack(np.meshgrid(HEIGHTS_MM, y, x, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
@@ -181,7 +183,9 @@ def _measure_local(scene: Scene, tick: Callable[[], None]) -> LightField:
     components, colours, light_of = [], [], []
     painted = coated = np.zeros(NORMALS**2)
     for number, light in enumerate(scene.lights.lights):
-        received, reflected = unshadowed_light(scene, light, points, -_node_normals())
+        # A thousand and more small products: threads would only wait for each other.
+        with threadpool_limits(1):
+            received, reflected = unshadowed_light(scene, light, points, -_node_normals())
         colour = light_colour(light)
         painted = painted + received.sum(axis=0) * (colour.sum() * scene.markers.albedo / np.pi)
         coated = coated + received.sum(axis=0) * (colour @ pigment) + reflected.sum(axis=0) * (colour @ flakes)
