@@ -8,7 +8,7 @@ ends at a force has at each step's end the approach at which the normal force is
 
 Of the short form, recorded states are equally spaced in approach. `force_n` ends it where the normal force reaches it, found by the secant
 rule; without `depth_mm` a search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share
-of the way is not known before, a second march records. What ended a press its info says (`errors.PressEnd`).
+of the way is not known before, a second march records. What ended a press its report says (`errors.PressEnd`).
 
 A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
 (strategy.py). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
@@ -168,15 +168,19 @@ def march_press(
     deformation = march.deformation(end, message)
     missing, jumped_at = march.energy.jump
     if missing > JUMPED:
-        deformation.warn(
+        deformation = deformation.warned(
             f"the step to {jumped_at * MM_PER_M:.4g} mm lost {missing:.0%} of its work: it jumped to another branch of equilibria (a "
             "sharp rim that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
         )
     if press.depth_mm is None and press.force_n is not None and not march.stopped and march.status is SolveStatus.CONVERGED:
         why = beyond or f" with {march.normal_force:.3g} N"
-        deformation.warn(f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM_PER_M:.3g} mm{why}")
+        deformation = deformation.warned(
+            f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM_PER_M:.3g} mm{why}"
+        )
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
-        deformation.warn(f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames")
+        deformation = deformation.warned(
+            f"press.force_n = {press.force_n:g} N was passed: the press ended at {march.normal_force:.3g} N; try more frames"
+        )
     return deformation
 
 
@@ -326,9 +330,7 @@ class _March:
 
     def deformation(self, end: PressEnd, message: str) -> Deformation:
         """What was recorded, and what of it is known beside the states."""
-        deformation = self.recorder.deformation(self.status, message, self.halved)
-        deformation.info["energy"], deformation.info["ended_by"] = self.energy.report(), end
-        return deformation
+        return self.recorder.deformation(self.status, message, self.halved).reporting(energy=self.energy.report(), ended_by=end)
 
     def _settle(self) -> None:
         """Makes the present state the past: of contact, and of what the solids remember."""

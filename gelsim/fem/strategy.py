@@ -60,7 +60,7 @@ def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> 
         turns.append((way, 0.0 if course.before is None else 1e3 * course.before.approach))
         number, course.followed = number + 1, bool(left) and left[0].goes_on
         press = yield way, course
-        _note(press, scene, turns, number)
+        press = _reported(press, scene, turns, number)
         if course.searched:
             course.searched, left, best = False, ways(scene), None
             continue
@@ -87,28 +87,32 @@ def tried(scene: Scene, way: Try) -> Scene:
     return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
 
 
-def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> None:
-    """Tells in a press's info which try it is, and which led there: each with the approach [mm] that it went on from."""
+def _reported(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> Deformation:
+    """The press whose report says which try it is, and which led there: each with the approach [mm] that it went on from."""
     way = turns[-1][0]
-    press.info["tried"] = number
-    press.info["contact_points"] = way.contact_points
-    if len(turns) > 1:
-        press.info["went_on_from_mm"] = [round(start, 4) for _, start in turns[1:]]
+    asked = scene.contact.friction_coefficient
+    solved = [tried(scene, turn).contact.friction_coefficient for turn, _ in turns]
+    press = press.reporting(
+        tried=number,
+        contact_points=way.contact_points,
+        went_on_from_mm=tuple(round(start, 4) for _, start in turns[1:]),
+        friction_coefficient=solved[-1],
+    )
     # those after a try with held volume have it too
     since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
     if way.held > 0.0:
         told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
-        press.warn(f"did not reach its end at first: solved {told}")
-    asked = scene.contact.friction_coefficient
-    solved = [tried(scene, turn).contact.friction_coefficient for turn, _ in turns]
-    press.info["friction_coefficient"] = solved[-1]
+        press = press.warned(f"did not reach its end at first: solved {told}")
     if other := [number for number, friction in enumerate(solved) if friction != asked]:
         start, after = turns[other[0]][1], other[-1] + 1
         where = f" from {start:.4g} mm on" if start else ""
         if after < len(turns):
             where = f" from {start:.4g} to {turns[after][1]:.4g} mm"
         instead = " and ".join(dict.fromkeys(f"{solved[number]:g}" for number in other))
-        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {instead} instead{where}")
+        press = press.warned(
+            f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {instead} instead{where}"
+        )
+    return press
 
 
 def further(before: Deformation | None, press: Deformation) -> Deformation:
