@@ -85,7 +85,7 @@ def press_errors(press: Deformation, name: str, wanted: dict[str, float], modulu
         "radius_finer_percent": round(100 * max(map(abs, finer_errors)), 1),
         "radius_finer_rms_percent": round(100 * float(np.sqrt(np.mean(np.square(finer_errors)))), 1),
         "judged_percent": round(100 * max(map(abs, judged_errors)), 3),
-        "estimate_percent": round(100 * estimate["force"], 2),
+        "estimate_percent": round(100 * estimate.force, 2),
     }
     return found | ({"profile_rms_um": round(_profile_error(profile, press), 2)} if profile else {})
 

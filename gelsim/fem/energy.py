@@ -143,8 +143,9 @@ class EnergyBalance:
             work, done = work + leg, done + max(leg, 0.0)
         drift = (work - self._held) / done if done > _SEEN else 0.0
         scale = self.problem.copies * JOULE
+        names = ("work_j", "stored_j", "dissipated_j", "overlap_j", "changed_j")
         parts = (work, self._stored, self._lost, self._overlap_work, self._changed)
-        return EnergyReport(*(part * scale for part in parts), drift)
+        return EnergyReport(drift=drift, **{name: part * scale for name, part in zip(names, parts, strict=True)})
 
 
 def _power_law_work(start: float, stop: float, begin: float, end: float) -> float:
