@@ -54,6 +54,9 @@ SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
+GAVE_WAY = (
+    0.9  # share of the largest normal force so far under which what is pressed to a force alone has given way; sooner where a step fails
+)
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
 FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
 LONGEST_STEP = 1e-3  # [m]
@@ -155,7 +158,7 @@ def march_press(
     if march is None:
         march = _March(problem, straight(press, depth * MM_PER_M), record, press.force_n)
         yield from march.run(progress, before)
-    message, end = "", PressEnd.FORCE if march.stopped else end
+    message, end = "", PressEnd.FORCE if march.stopped else PressEnd.GAVE_WAY if march.gave_way else end
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
@@ -174,8 +177,10 @@ def march_press(
         )
     if press.depth_mm is None and press.force_n is not None and not march.stopped and march.status is SolveStatus.CONVERGED:
         why = beyond or f" with {march.normal_force:.3g} N"
+        if end is PressEnd.GAVE_WAY:
+            why = f": {march.most[0]:.3g} N is the most that the object bears before it buckles, folds or slides off"
         deformation = deformation.warned(
-            f"press.force_n = {press.force_n:g} N was not reached: the press ended at {depth * MM_PER_M:.3g} mm{why}"
+            f"press.force_n = {press.force_n:g} N was not reached: the press ended at {march.approach * MM_PER_M:.3g} mm{why}"
         )
     if march.stopped and press.force_n is not None and march.normal_force > (1 + FORCE_TOLERANCE) * press.force_n:
         deformation = deformation.warned(
@@ -215,6 +220,8 @@ class _March:
         self._leg, self._spacing, self._smallest = 1, np.inf, 1.0
         self._rate = self._stiffness = self._approach = 0.0
         self._iterations = self._factorisations = self._wasted = 0
+        self.most, self.gave_way = (0.0, 0.0), False
+        """Largest normal force [N] so far, and the approach [m] there."""
 
     def run(self, progress: Progress | None, before: _March | None = None) -> Marching:
         """Marches to the end of the way, the force, or a step that cannot be made any smaller; records at the times that the way says.
@@ -270,6 +277,8 @@ class _March:
             if self.halved:
                 new = min(new, self._nearly_at_force())
             if not (yield from self._attempt_step(here, new)):
+                if self._gives_way(1 - FORCE_TOLERANCE):
+                    return self._end_here(progress)
                 step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
                     return False
@@ -291,8 +300,23 @@ class _March:
                 step *= growth
             elif easy >= 2 and step < longest:
                 step, easy = min(2 * step, longest), 0
+            if self._gives_way(GAVE_WAY):
+                return self._end_here(progress)
             if abs(new - target) < 1e-9 * spacing and target == recorded:
                 self._keep(progress)
+        return True
+
+    def _gives_way(self, share: float) -> bool:
+        """Whether what is pressed to a force alone bears less than a share of what it did: no load of more can stand on it."""
+        alone = self.stop_n is not None and self.problem.scene.press.depth_mm is None and self._leg == 1
+        return alone and not self.stopped and self.normal_force < share * self.most[0]
+
+    def _end_here(self, progress: Progress | None) -> bool:
+        """Ends the leg in its last equilibrium, which is recorded."""
+        self.gave_way, self.status, self.message = True, SolveStatus.CONVERGED, ""
+        self.way = self.way.stays_from(self._leg, self.time)
+        if len(self.recorder.approach) < np.searchsorted(self.way.recorded, self.time * (1 + 1e-12)):
+            self._keep(progress)
         return True
 
     def _speed(self, leg: int) -> float:
@@ -308,7 +332,7 @@ class _March:
         problem, here = self.problem, before.here
         self.recorder, self.energy, self.halved = before.recorder, before.energy, before.halved
         self.way, self._leg, self.stopped = before.way, before._leg, before.stopped
-        self._smallest = here.min_jacobian
+        self._smallest, self.most = here.min_jacobian, before.most
         problem.solids.set_state(here.fields)
         problem.contact.inherit(before.problem.contact, problem.solids.positions(), LOOKED_MM)
         start = self._state(here.time, here.approach)
@@ -326,6 +350,7 @@ class _March:
         travel = state.approach - self.approach
         self._rate = (force - self.normal_force) / travel if travel > 0.0 else 0.0
         self._stiffness = self._rate or self._stiffness
+        self.most = max(self.most, (force, state.approach))
         self.here, self.time, self.approach, self.normal_force = state, state.time, state.approach, force
 
     def deformation(self, end: PressEnd, message: str) -> Deformation:
@@ -537,10 +562,12 @@ class _Search(_March):
     def found(self) -> tuple[float, PressEnd, str]:
         """Approach [m] at which the press ends, what it ends at there, and why no further.
 
-        Where the force is not reached that is as far as an equilibrium was found (LOST), or the limit (LIMIT).
+        Where the force is not reached that is where it bears most (GAVE_WAY), as far as an equilibrium was found (LOST), or the limit.
         """
         if self.stopped:
             return self.approach, PressEnd.FORCE, ""
+        if self.gave_way:
+            return self.most[1], PressEnd.GAVE_WAY, ""
         # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
         if self.status is not SolveStatus.CONVERGED and self.approach > 0.0:
             return self.approach, PressEnd.LOST, f" with {self.normal_force:.3g} N; further on {self.status.value}"

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_body
+from fem_fixtures import MM, TOLERANCE, Array, ball_scene, flat_gel, problem_of, rigid_body
 from planar_fixtures import press_of
 
 import gelsim.fem
@@ -164,6 +164,40 @@ def test_a_press_says_what_it_ended_at(
     assert press.status is SolveStatus.CONVERGED
     assert press.report.ended_by == end
     assert press.lost == (end is PressEnd.LOST)
+
+
+@pytest.mark.parametrize(("falls_to", "lost_beyond_mm"), [(0.5, 1.0), (0.99, 0.4)])
+@pytest.mark.parametrize("shear", [0.0, 0.1])
+def test_a_press_to_a_force_ends_where_the_object_gives_way(
+    monkeypatch: pytest.MonkeyPatch, falls_to: float, lost_beyond_mm: float, shear: float
+) -> None:
+    """From 0.3 mm on it bears half of the most that it bore; or a little less, until no equilibrium is found."""
+    attempt, force = quasistatic._March._attempt, PressProblem.contact_force  # pyright: ignore[reportPrivateUsage]
+    at, most = [0.0], [0.0]
+
+    def ends(march, here, new, approach):  # type: ignore[no-untyped-def]
+        at[0] = approach / MM
+        return approach / MM <= lost_beyond_mm and (yield from attempt(march, here, new, approach))
+
+    def gives_way(problem: PressProblem) -> Array:
+        found = force(problem)
+        if at[0] > 0.3 + 1e-9:
+            found[2] = -falls_to * most[0]
+        most[0] = max(most[0], -float(found[2]))
+        return found
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(PressProblem, "contact_force", gives_way)
+    monkeypatch.setattr(quasistatic, "furthest_approach", lambda scene: 0.6 * MM)
+    monkeypatch.setattr(quasistatic, "FIRST_STEP", 0.1e-3)
+    monkeypatch.setattr(quasistatic, "LONGEST_STEP", 0.1e-3)
+    scene = ball_scene(0.6, 3, radius_mm=5.0, friction=0.5, shear_mm=(shear, 0.0))
+    scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=100.0))
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert press.report.ended_by is PressEnd.GAVE_WAY and press.status is SolveStatus.CONVERGED and not press.lost
+    assert len(press.approach) == 3 and press.approach[-1] == pytest.approx(0.3 * MM) and press.approach[1] == pytest.approx(0.15 * MM)
+    assert f"{-press.force[-1, 2]:.3g} N is the most that the object bears" in press.report.warnings[-1]
 
 
 def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.MonkeyPatch) -> None:
