@@ -3,7 +3,8 @@
 Scene i is the same whatever ran before it: its numbers come from SeedSequence(SEED, spawn_key=(i,)). Each is solved at `fast` in a child
 process that is ended after SECONDS or above MEMORY. Wanted: 99.5 % converge. Every one that does not is listed with what it said. One to a
 force whose search ended where no equilibrium was found counts among these, though the states on the way there converged; one squashed as
-far as a press to a force goes, or that gives way before, does not, and is named. So is one that its last try solved with another friction than it asked for.
+far as a press to a force goes, or that gives way before, does not, and is named. So is one that its last try solved with another friction
+than it asked for.
 """
 
 from __future__ import annotations

@@ -54,9 +54,9 @@ SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there
 FORCE_TOLERANCE = 2e-3  # of force_n
-GAVE_WAY = (
-    0.9  # share of the largest normal force so far under which what is pressed to a force alone has given way; sooner where a step fails
-)
+GAVE_WAY = 0.9  # of the largest normal force so far: what is pressed to a force alone and bears less has given way …
+OUT_OF_REACH = 2.0  # … or, once SOON, where not even so many times the force to which it grows by a power law would be enough
+SOON = 30  # Newton iterations of solves that failed, some two of them, after which a press is tried otherwise
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
 FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
 LONGEST_STEP = 1e-3  # [m]
@@ -277,7 +277,7 @@ class _March:
             if self.halved:
                 new = min(new, self._nearly_at_force())
             if not (yield from self._attempt_step(here, new)):
-                if self._gives_way(1 - FORCE_TOLERANCE):
+                if self._gives_way(1 - FORCE_TOLERANCE) or self._out_of_reach():
                     return self._end_here(progress)
                 step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
@@ -306,10 +306,22 @@ class _March:
                 self._keep(progress)
         return True
 
+    @property
+    def _to_force_alone(self) -> bool:
+        return self.stop_n is not None and not self.stopped and self.problem.scene.press.depth_mm is None and self._leg == 1
+
     def _gives_way(self, share: float) -> bool:
         """Whether what is pressed to a force alone bears less than a share of what it did: no load of more can stand on it."""
-        alone = self.stop_n is not None and self.problem.scene.press.depth_mm is None and self._leg == 1
-        return alone and not self.stopped and self.normal_force < share * self.most[0]
+        return self._to_force_alone and self.normal_force < share * self.most[0]
+
+    def _out_of_reach(self) -> bool:
+        """Whether what is pressed to a force alone, and has failed for some time, is far from bearing it as deep as such a press goes."""
+        if not self._to_force_alone or self._wasted <= SOON or self.normal_force <= 0.0:
+            return False
+        assert self.stop_n is not None
+        order = self._rate * self.approach / self.normal_force
+        expected = self.normal_force * (furthest_approach(self.problem.scene) / self.approach) ** order
+        return OUT_OF_REACH * expected < self.stop_n
 
     def _end_here(self, progress: Progress | None) -> bool:
         """Ends the leg in its last equilibrium, which is recorded."""
@@ -431,14 +443,23 @@ class _March:
         for number in range(MAX_AUGMENTATIONS):
             if report.status is not SolveStatus.CONVERGED:
                 break
-            balanced = (problem.solids.state(), contact.save(), report) if number > 0 else None
+            before = (problem.solids.state(), contact.save(), report) if number > 0 or contact.can_tie else None
             contact.augment()
             report = yield Request(reach)
             self._count(report)
-            if balanced is not None and report.status is not SolveStatus.CONVERGED:
+            if before is not None and contact.can_tie and report.status is not SolveStatus.CONVERGED:
+                # once more, without what parts letting go at once
+                self._wasted += report.iterations
+                problem.solids.set_state(before[0])
+                contact.restore(before[1])
+                yield Request(reach, solve=False)
+                contact.augment(tie_at=problem.solids.positions())
+                report = yield Request(reach)
+                self._count(report)
+            if before is not None and number > 0 and report.status is not SolveStatus.CONVERGED:
                 # what was to have less overlap is lost, the equilibrium before it is not
                 self._wasted += report.iterations
-                fields, pairs, report = balanced
+                fields, pairs, report = before
                 problem.solids.set_state(fields)
                 contact.restore(pairs)
                 yield Request(reach, solve=False)

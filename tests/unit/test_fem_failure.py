@@ -446,7 +446,7 @@ def test_a_lost_press_gets_another_mesh(
     record, scene = stages.Record(), build_scene({"press": {"depth_mm": 0.5, "symmetry": "mirror"}})
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
     press = stages.press(scene, record=record, enough=enough)
-    assert press is made[kept] and asked == meshed
+    assert press.approach is made[kept].approach and press.report.ended_by is made[kept].report.ended_by and asked == meshed
     assert record.meshes["object"]["elements"] == ends.index(kept)
     said = " ".join(press.report.warnings)
     assert ("drawn anew" in said) is (ends.index(kept) > 0) and ("could not be given another" in said) is ("no mesh" in ends)
@@ -488,7 +488,7 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
             made.append(way.goes_on)
             course.before = course.before or SimpleNamespace(approach=0.0)  # type: ignore[assignment]
             way, course = tries.send(lost)
-    assert end.value.value is lost
+    assert end.value.value.lost
     assert made == [False, True] + ([] if enough_mm == 0.3 else [False])
 
 
@@ -506,7 +506,7 @@ def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(d
     assert not way.goes_on, "all begin again to record the way"
     with pytest.raises(StopIteration) as end:
         tries.send(there)
-    assert end.value.value is there
+    assert end.value.value.report.ended_by is PressEnd.FORCE
 
 
 def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
