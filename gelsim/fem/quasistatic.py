@@ -2,13 +2,16 @@
 
 Each step starts from the linear extrapolation of the last two states of its leg, which leaves Newton only the curvature of the path; then
 the contact multipliers take the pressure over (contact.py) and Newton answers once more; where they do so again, for less overlap, and
-Newton has no answer, the one before stands. A step that does not converge is halved, from where it began (in a press's later tries after
-it was tried from the last state alone, its object moved along); after two easy steps it doubles again, to LONGEST_STEP at most. A leg that
-ends at a force has at each step's end the approach at which the normal force is its share of it, found by the secant rule.
+Newton has no answer, the one before stands. What sticks and has none is tied first (contact.py). A step that does not converge is halved,
+from where it began (in a press's later tries after it was tried from the last state alone, its object moved along); after two easy steps it
+doubles again, to LONGEST_STEP at most. A leg that ends at a force has at each step's end the approach at which the normal force is its
+share of it, found by the secant rule.
 
 Of the short form, recorded states are equally spaced in approach. `force_n` ends it where the normal force reaches it, found by the secant
 rule; without `depth_mm` a search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share
-of the way is not known before, a second march records. What ended a press its report says (`errors.PressEnd`).
+of the way is not known before, a second march records. Before, it ends where the object bears less and less, or has failed for some time
+and is far from bearing it: beyond a largest force lies another branch for every try. What ended a press its report says
+(`errors.PressEnd`).
 
 A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
 (strategy.py). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
