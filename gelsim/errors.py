@@ -74,5 +74,7 @@ class PressEnd(enum.StrEnum):
     PATH = "path"
     LIMIT = "the farthest that a press to a force goes"
     """Half of the gel and a third of a soft body's height: no further unless a depth is given."""
+    GAVE_WAY = "the object gives way"
+    """Of a press to a force alone: it buckles, folds or slides off, and bears less and less."""
     LOST = "no equilibrium found further on"
     """Also of a press to a force that counts as converged: the states on the way to where the search for the force ended."""

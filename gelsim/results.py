@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,89 @@ class SurfaceMotion:
     """Displacements [m], shape (N, G, 3)."""
     faces6: NDArray[np.int32]
     """The six-node faces themselves, shape (F/4, 6): for sampling between nodes."""
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """How well a press is known, by its own mesh."""
+
+    force: float
+    """Relative error of the normal force."""
+    membrane_um: float
+    """Error of the membrane's heights [µm]."""
+
+
+@dataclass(frozen=True)
+class EnergyReport:
+    """Where the work of a press went (`gelsim.fem.energy`): work = stored - changed + dissipated + overlap, but for the drift."""
+
+    work_j: float = 0.0
+    """Of the platen [J]."""
+    stored_j: float = 0.0
+    """In both bodies at the end [J]; of solids that remember, what they lost too."""
+    dissipated_j: float = 0.0
+    """By friction [J]."""
+    overlap_j: float = 0.0
+    """Held by the overlap of the bodies [J]."""
+    changed_j: float = 0.0
+    """What the stored energy grew by where a press went on by another way [J]."""
+    drift: float = 0.0
+    """Share of the work done that is in none of these."""
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """How a press was solved, for report.json; None where that is not known or does not apply."""
+
+    ended_by: PressEnd | None = None
+    """What it ended at."""
+    tried: int | None = None
+    """Number of the try that it is, from 1 (`gelsim.fem.strategy`)."""
+    went_on_from_mm: tuple[float, ...] = ()
+    """Approaches [mm] from which it was gone on with in another way."""
+    contact_points: int | None = None
+    """Quadrature points on a face of the gel."""
+    friction_coefficient: float | str | None = None
+    """μ that it was solved with, or "stick"."""
+    symmetry: str | tuple[str, ...] | None = None
+    """Mirror planes that reduced it, or the kind of its profile."""
+    rigid_object: bool | None = None
+    unknowns: int | None = None
+    steps_halved: int | None = None
+    """Load steps that were halved as Newton failed."""
+    linear_solver: str | None = None
+    factorisations: int | None = None
+    """Matrices factorised."""
+    stress_jump: float | None = None
+    """Relative jump of the stress between tets in the last state (`gelsim.fem.indicator`)."""
+    energy: EnergyReport | None = None
+    error_estimate: ErrorEstimate | None = None
+    warnings: tuple[str, ...] = ()
+
+    def table(self) -> dict[str, Any]:
+        """What is known, as JSON has it."""
+        told = {item.name: value for item in fields(self) if (value := getattr(self, item.name)) is not None}
+        told |= {name: vars(told[name]).copy() for name in _PARTS if name in told}
+        told |= {name: list(value) for name, value in told.items() if isinstance(value, tuple)}
+        return {name: value for name, value in told.items() if value or name not in ("warnings", "went_on_from_mm")}
+
+    @classmethod
+    def from_table(cls, told: Mapping[str, Any]) -> SolveReport:
+        """From what `table` gave. Names that it does not know, of another version, are left out.
+
+        Raises:
+            TypeError, ValueError: A value is none of the kind.
+        """
+        known = {item.name: told[item.name] for item in fields(cls) if item.name in told}
+        known |= {name: kind(**known[name]) for name, kind in _PARTS.items() if name in known}
+        known |= {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
+        if "ended_by" in known:
+            known["ended_by"] = PressEnd(known["ended_by"])
+        return cls(**known)
+
+
+_PARTS: dict[str, type] = {"energy": EnergyReport, "error_estimate": ErrorEstimate}
+"""Fields of a `SolveReport` that are tables of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +138,12 @@ class Deformation:
     status: SolveStatus = SolveStatus.CONVERGED
     message: str = ""
     """Which step failed, the residual there, and what to try; empty when converged."""
-    info: dict[str, object] = field(default_factory=dict)
-    """For report.json: mesh sizes, error estimate, symmetry used, solver, warnings."""
+    report: SolveReport = field(default_factory=SolveReport)
 
     @property
     def lost(self) -> bool:
         """Whether it ended where no equilibrium was found, short of its depth and its force."""
-        return self.status is not SolveStatus.CONVERGED or self.info.get("ended_by") == PressEnd.LOST
+        return self.status is not SolveStatus.CONVERGED or self.report.ended_by is PressEnd.LOST
 
     @property
     def along(self) -> tuple[str, NDArray[np.float64]]:
@@ -90,9 +173,13 @@ class Deformation:
             f"<div>{told}<br/>{curve}<br/>normal force, up to {normal.max():.3g} N, against {name} {along[0]:.3g} to {along[-1]:.3g}</div>"
         )
 
-    def warn(self, told: str) -> None:
-        """Adds a sentence to the warnings of report.json."""
-        self.info["warnings"] = [*self.info.get("warnings", []), told]  # type: ignore[misc]
+    def reporting(self, **told: Any) -> Deformation:
+        """The same press with fields of its report set anew."""
+        return replace(self, report=replace(self.report, **told))
+
+    def warned(self, told: str) -> Deformation:
+        """The same press with one more warning."""
+        return self.reporting(warnings=(*self.report.warnings, told))
 
 
 @dataclass(frozen=True, eq=False)

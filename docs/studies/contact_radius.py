@@ -48,7 +48,7 @@ def solve(nu: float, modulus: float | None, finer: float) -> tuple[Array, Array,
         PlanarProblem(scene, gel, body, materials.gel_material(scene), of_object, None, tolerance=1e-6), record=PlanarRecorder
     )
     radius = np.sqrt(press.contact_area / np.pi) * 1e3
-    print(nu, modulus, finer, press.info["unknowns"], radius.round(4), flush=True)
+    print(nu, modulus, finer, press.report.unknowns, radius.round(4), flush=True)
     return press.approach[1:], radius[1:], -press.force[1:, 2]
 
 

@@ -74,12 +74,12 @@ def solve(case: str, level: str, folder: Path) -> dict[str, Any]:
         half = press.gel.rest[:, :2].max() - 1e-9
         line = np.linspace(-half, half, 121)
         points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-        estimate: Any = press.info["error_estimate"]
+        estimate: Any = press.report.error_estimate
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part.npz")
         np.savez(
-            part, force=-press.force[-1, 2], surface=outputs.sample_surface(press.gel, points)[1][-1], of_force=estimate["force"],
-            of_membrane_um=estimate["membrane_um"], unknowns=press.info["unknowns"],
+            part, force=-press.force[-1, 2], surface=outputs.sample_surface(press.gel, points)[1][-1], of_force=estimate.force,
+            of_membrane_um=estimate.membrane_um, unknowns=press.report.unknowns,
         )  # fmt: skip
         part.replace(path)
     with np.load(path) as stored:

@@ -76,7 +76,7 @@ def main(fidelity: str, case: str) -> dict[str, float]:
                 for node in mesh.rest_positions)  # fmt: skip
     row: dict[str, float] = {
         "gel": len(gel.rest_positions), "object": 0 if rigid else len(body.rest_positions), "whole": whole,
-        "unknowns": press.info["unknowns"], "mesh_s": meshed - start, "solve_s": solved - meshed, "states": len(press.approach),
+        "unknowns": press.report.unknowns, "mesh_s": meshed - start, "solve_s": solved - meshed, "states": len(press.approach),
     }  # fmt: skip
     if case == "punch":
         row |= {"force": 100 * (-press.force[-1, 2] / PUNCH_FORCE - 1), "overlap": press.penetration[-1] * 1e6}

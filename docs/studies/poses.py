@@ -37,7 +37,7 @@ def main(count: int, workers: int, mesh: str | None) -> None:
         record, wall, processor = stages.Record(), time.perf_counter(), time.process_time()
         press = stages.press(poses.posed(scene, nested(pose)), device="cpu", record=record, throw=False)
         took = time.perf_counter() - wall, time.process_time() - processor
-        spent.append((*took, record.seconds["mesh"], record.seconds["press"], press.newton_iterations.sum(), press.info["unknowns"]))
+        spent.append((*took, record.seconds["mesh"], record.seconds["press"], press.newton_iterations.sum(), press.report.unknowns))
     names = ("seconds", "of processors", "mesh and first touch", "press", "iterations", "unknowns")
     for name, mean in zip(names, np.mean(spent[1:], axis=0), strict=True):
         print(f"{name:<22} {mean:8.2f}")

@@ -68,7 +68,7 @@ def main(symmetry: str = "mirror", fidelity: str = "balanced") -> dict[str, floa
     record = stages.Record()
     press = stages.press(scene, record=record)
     whole = record.seconds["press"]
-    print(f"| {symmetry}, {fidelity}, {press.info['unknowns']} unknowns | calls | seconds | share |\n|---|---|---|---|")
+    print(f"| {symmetry}, {fidelity}, {press.report.unknowns} unknowns | calls | seconds | share |\n|---|---|---|---|")
     for name, _, _ in WATCHED:
         print(f"| {name} | {watch.calls[name]} | {watch.seconds[name]:.2f} | {watch.seconds[name] / whole:.0%} |")
     left = whole - sum(watch.seconds.values())

@@ -48,5 +48,5 @@ for fidelity, symmetry in CASES:
             start = time.process_time()
             press = stages.press(scene, device="cpu")
             seconds.append(time.process_time() - start)
-        cells.append(f"{min(seconds):.2f}, {press.info['factorisations']}")
-    print(f"| {fidelity}, {symmetry} | {press.info['unknowns']} | {seen[-1].direct.cost:.0f} | {' | '.join(cells)} |", flush=True)
+        cells.append(f"{min(seconds):.2f}, {press.report.factorisations}")
+    print(f"| {fidelity}, {symmetry} | {press.report.unknowns} | {seen[-1].direct.cost:.0f} | {' | '.join(cells)} |", flush=True)

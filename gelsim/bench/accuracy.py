@@ -65,8 +65,8 @@ def press_errors(press: Deformation, name: str, wanted: dict[str, float], modulu
     rows = [row for row in reference_table(name) if all(math.isclose(row[key], value) for key, value in wanted.items())]
     known = {row["approach_mm"]: row for row in rows}
     finer = _finer(wanted["nu"], modulus)
-    estimate = press.info["error_estimate"]
-    assert isinstance(estimate, dict)
+    estimate = press.report.error_estimate
+    assert estimate is not None
     force_errors, radius_errors, finer_errors, judged_errors = [], [], [], []
     least = JUDGED_FROM * -press.force[:, 2].min()
     for i, approach in enumerate(np.round(press.approach * 1e3, 4)):
@@ -85,7 +85,7 @@ def press_errors(press: Deformation, name: str, wanted: dict[str, float], modulu
         "radius_finer_percent": round(100 * max(map(abs, finer_errors)), 1),
         "radius_finer_rms_percent": round(100 * float(np.sqrt(np.mean(np.square(finer_errors)))), 1),
         "judged_percent": round(100 * max(map(abs, judged_errors)), 3),
-        "estimate_percent": round(100 * estimate["force"], 2),
+        "estimate_percent": round(100 * estimate.force, 2),
     }
     return found | ({"profile_rms_um": round(_profile_error(profile, press), 2)} if profile else {})
 

@@ -112,7 +112,7 @@ def _measure(symmetry: str, fidelity: str, batch: int, device: str) -> Row:
         "status": next((press.status.name for press in failed.values()), SolveStatus.CONVERGED.name),
         "message": "; ".join(f"{number}: {press.message}" for number, press in failed.items()),
         "failed": len(failed),
-        "tried_again": sum(press.info["tried"] != 1 for press in presses),
+        "tried_again": sum(press.report.tried != 1 for press in presses),
         "device": device,
         "batch": batch,
         "unknowns": costs.unknowns,

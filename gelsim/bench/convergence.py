@@ -50,7 +50,7 @@ def _measure(name: str, layer: Layer, finer: float) -> Row:
         "status": press.status.name,
         "body": name,
         "edges_mm": round(float(np.diff(np.sort(gel.nodes[np.unique(gel.groups["coated"][:, :2]), 0])).min()) * 1e3, 4),
-        "unknowns": press.info["unknowns"],
+        "unknowns": press.report.unknowns,
         "force_n": float(-press.force[-1, 2]),
         "radius_mm": math.sqrt(press.contact_area[-1] / math.pi) * 1e3,
         "profile_um": [round(float(v), 4) for v in profile],

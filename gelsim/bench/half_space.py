@@ -19,7 +19,7 @@ from gelsim.bench.section import Known, Layer
 from gelsim.bench.structured import Array
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.fem.problem import PressProblem
-from gelsim.results import Deformation
+from gelsim.results import Deformation, EnergyReport
 
 NU = 0.4999
 GEL_KPA = 50.0
@@ -239,17 +239,17 @@ def _balance(name: str) -> tuple[float, float, float]:
     return off / float(np.linalg.norm(force)), 0.0, 1.0
 
 
-def _energies(name: str) -> dict[str, float]:
-    found = _pressed(name)[1].info["energy"]
-    assert isinstance(found, dict)
+def _energies(name: str) -> EnergyReport:
+    found = _pressed(name)[1].report.energy
+    assert found is not None
     return found
 
 
 def _energy(name: str) -> tuple[float, float, float]:
     energy = _energies(name)
-    return energy["drift"] * energy["work_j"], 0.0, energy["work_j"]
+    return energy.drift * energy.work_j, 0.0, energy.work_j
 
 
 def _overlap(name: str) -> tuple[float, float, float]:
     energy = _energies(name)
-    return energy["overlap_j"], 0.0, energy["work_j"]
+    return energy.overlap_j, 0.0, energy.work_j

@@ -106,8 +106,9 @@ def loop_area(press: Deformation) -> float:
 
 def _hysteresis() -> tuple[float, float, float]:
     press = dragged()
-    lost = press.info["energy"]["dissipated_j"]  # type: ignore[index]
-    return loop_area(press) * 1e6, lost * 1e6, lost * 1e6
+    assert press.report.energy is not None
+    lost = press.report.energy.dissipated_j * 1e6
+    return loop_area(press) * 1e6, lost, lost
 
 
 def _reversed() -> tuple[float, float, float]:

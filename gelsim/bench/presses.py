@@ -61,15 +61,15 @@ def facts(press: Deformation, states_wanted: int) -> Row:
     return {
         "status": press.status.name,
         "message": press.message if press.status is not SolveStatus.CONVERGED else "",
-        "ended_by": press.info["ended_by"],
-        "friction_coefficient": press.info.get("friction_coefficient"),
+        "ended_by": press.report.ended_by,
+        "friction_coefficient": press.report.friction_coefficient,
         "states": len(press.approach),
         "states_wanted": states_wanted,
-        "unknowns": press.info["unknowns"],
-        "steps_halved": press.info["steps_halved"],
-        "stress_jump": press.info["stress_jump"],
+        "unknowns": press.report.unknowns,
+        "steps_halved": press.report.steps_halved,
+        "stress_jump": press.report.stress_jump,
         "newton_iterations": int(press.newton_iterations.sum()),
-        "factorisations": press.info["factorisations"],
+        "factorisations": press.report.factorisations,
         "min_jacobian": round(float(press.min_jacobian.min()), 3),
         "penetration_um": round(float(press.penetration.max()) * 1e6, 2),
         "drift_percent": round(100 * _drift(press), 2),
@@ -80,9 +80,8 @@ def facts(press: Deformation, states_wanted: int) -> Row:
 
 
 def _drift(press: Deformation) -> float:
-    energy = press.info["energy"]
-    assert isinstance(energy, dict)
-    return energy["drift"]
+    assert press.report.energy is not None
+    return press.report.energy.drift
 
 
 def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:

@@ -90,9 +90,9 @@ def _measure(name: str) -> Row:
 
 
 def _estimate(press: Deformation) -> float:
-    estimate = press.info["error_estimate"]
-    assert isinstance(estimate, dict)
-    return float(estimate["force"])
+    estimate = press.report.error_estimate
+    assert estimate is not None
+    return estimate.force
 
 
 SECTION = Section(

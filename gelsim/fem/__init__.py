@@ -64,10 +64,10 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
 
-    The second try goes on from where the first stands, with twice the contact points, volume held at points too, and what sticks sliding at
-    friction `STICK`; where that does not get there soon, the third begins so at rest. The last, where friction was less, has `GRIP`. Its
-    info says so. More points see more of how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held
-    at points keeps crushed tets from folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    The second try goes on from where the first stands, with twice the contact points and volume held at points too; where that does not
+    get there soon, the third begins so at rest. The last, where friction was less, has `GRIP`. Its report says so. More points see more of
+    how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps crushed tets from
+    folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.

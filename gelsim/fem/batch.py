@@ -204,9 +204,10 @@ class _Batch:
                         with self._stage("march"):
                             request = marches[scene].send(report)
                     except StopIteration as end:
-                        done[scene], active[scene] = end.value, False
+                        press, active[scene] = end.value, False
                         if self.moved[scene]:
-                            end.value.warn(f"{self.system.name}: factors of some matrices were of no use; those had the CPU's")
+                            press = press.warned(f"{self.system.name}: factors of some matrices were of no use; those had the CPU's")
+                        done[scene] = press
                         if progress is not None:
                             progress(int((~active).sum()), self.count)
                         continue

@@ -15,11 +15,13 @@ the misfit is granted (LEFT_MM). Derivatives, with ν the master's normal at y, 
 
     δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
-Friction is Coulomb's, in the same way: with e the tangential slip of a point since the last load step (against the place on the master
-that it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. A point
-that did not touch then slips only from where it does: while the master, moving by w in the step, closes the gap, it passes by
-(`begin_step`). Assembled is the symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric.
-Far from equilibrium that is left out, and the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
+Friction is Coulomb's, in the same way: with e the tangential slip of a point since the last load step (against the place on the master that
+it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. A point that did
+not touch then slips only from where it does: while the master, moving by w in the step, closes the gap, it passes by (`begin_step`).
+"stick" has no bound, and a point that parts drops its whole traction at once: where an equilibrium lies on that jump Newton finds none.
+Points that touched when the solve began are tied then: they keep their traction through it, whether they part or not. Assembled is the
+symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric. Far from equilibrium that is left
+out, and the slipping tangent is replaced by its secant, which resists a reversal of the slip as well.
 
 A rigid object is no surface but a distance (`RigidContact`, field.py). Left out: self-contact, adhesion, points of both surfaces at once
 (`penetration` is what shows if one's are too few)."""
@@ -67,7 +69,7 @@ _SUB_CORNERS = np.array(
 
 
 # Arrays of SurfaceContact with an entry a point that change, and that do not (stiffnesses: an entry a face).
-_STATE = ("face", "place", "normal", "gap", "pressure", "traction", "shift", "anchor_face", "anchor_place", "multiplier")
+_STATE = ("face", "place", "normal", "gap", "pressure", "traction", "shift", "anchor_face", "anchor_place", "multiplier", "tied")
 _CONSTANTS = ("weight", "stiffness", "stick")
 _PLACES = ("face", "place", "gap", "anchor_face", "anchor_place")  # of a ContactState
 
@@ -200,6 +202,7 @@ class SurfaceContact:
         self.shift = wp.zeros(count, dtype=wp.vec3d, device=device)
         self.anchor_face = wp.full(count, -1, dtype=wp.int32, device=device)
         self.anchor_place = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.tied = wp.zeros(count, dtype=wp.int32, device=device)
         self.multiplier = wp.zeros(count, dtype=wp.float64, device=device)
         self.stiffness = array(self._k[::points], wp.float64)
         self.vertices, local = np.unique(slave_faces[:, :3], return_inverse=True)
@@ -263,6 +266,11 @@ class SurfaceContact:
         used, indices = (wp.array(a.ravel(), dtype=wp.int32, device=self.device) for a in (used, indices))
         return used, indices, points
 
+    @property
+    def can_tie(self) -> bool:
+        """Whether anything sticks, and may be tied (`augment`)."""
+        return self.law.friction < 0.0
+
     @cached_property
     def frictional(self) -> bool:
         return self.law.friction != 0.0
@@ -294,7 +302,7 @@ class SurfaceContact:
     def _friction_inputs(self) -> list[object]:
         """What the kernels of friction share."""
         pairing = [self.weight, self.master, self.normal, self.pressure, self.anchor_face, self.anchor_place]
-        return [*pairing, self.shift, self.friction, self.stick]
+        return [*pairing, self.shift, self.friction, self.stick, self.tied]
 
     def add_force(self, x: wp.array, force: wp.array) -> None:
         """Adds what contact and friction of the last `update` ask of the nodes, against their forces on them, to `force`."""
@@ -335,7 +343,7 @@ class SurfaceContact:
     def add_remainder(self, x: wp.array, equation: wp.array, v: wp.array, out: wp.array) -> None:
         """Adds `remainder` of v to `out`, where `geometric` stands."""
         pairing = [self.weight, self.master, self.face, self.place, self.normal, self.gap, self.multiplier, self.stiffness]
-        friction = [self.frictional, self.anchor_face, self.anchor_place, self.shift, self.friction, self.stick]
+        friction = [self.frictional, self.anchor_face, self.anchor_place, self.shift, self.friction, self.stick, self.tied]
         self._launch(add_remainder, x, self.own, *pairing, self.law.smoothing, self.bend, *friction, self.geometric, equation, v, out)
 
     def gap_changes(self, x: wp.array, equation: wp.array) -> Callable[[Array], Array]:
@@ -374,15 +382,18 @@ class SurfaceContact:
 
         Zero where friction's traction is.
         """
-        anchor, normal, now = self.anchor_face.numpy(), self.normal.numpy(), x.numpy()
-        held = np.flatnonzero((anchor >= 0) & (self.traction.numpy() != 0.0).any(axis=1))
-        anchored = self.anchor_place.numpy()[held]
-        place = np.einsum("qn,qni->qi", self.shape_values[held % self.points], now[self.slave_faces[held // self.points]])
-        touched = np.einsum("qn,qni->qi", self._master_shape(anchored), now[self.master_faces[anchor[held]]])
-        along = place - touched - self.passed[held]
-        found = np.zeros((len(anchor), 3))
+        normal = self.normal.numpy()
+        held = np.flatnonzero((self.anchor_face.numpy() >= 0) & (self.traction.numpy() != 0.0).any(axis=1))
+        along = self._moved(held, x.numpy()) - self.passed[held]
+        found = np.zeros((len(normal), 3))
         found[held] = along - (along * normal[held]).sum(axis=1, keepdims=True) * normal[held]
         return found
+
+    def _moved(self, points: NDArray[np.integer], x: Array) -> Array:
+        """What points have moved [mm] at nodes x against the places on the master that they met when the load step began, (K, 3)."""
+        place = np.einsum("qn,qni->qi", self.shape_values[points % self.points], x[self.slave_faces[points // self.points]])
+        shape = self._master_shape(self.anchor_place.numpy()[points])
+        return place - np.einsum("qn,qni->qi", shape, x[self.master_faces[self.anchor_face.numpy()[points]]])
 
     def begin_step(self, moves: Array) -> None:
         """Foresees which points will touch in a load step, for which the nodes are expected to move by `moves` [mm] (N, 3).
@@ -407,7 +418,7 @@ class SurfaceContact:
         """
         self.augment()
         if self.frictional:
-            traction = self.traction.numpy()
+            traction = np.where(self.pressure.numpy()[:, None] > 0.0, self.traction.numpy(), 0.0)
             self.kept[:, 1:] = traction - self._at_points(self.multipliers[:, 1:])
             self.shift.assign(-traction)
             self.passed, self._apart = np.zeros_like(traction), self._facing()
@@ -442,14 +453,18 @@ class SurfaceContact:
         """Linear functions over the slave's faces, (V, C), at the quadrature points, (P, C)."""
         return np.einsum("qa,fac->fqc", self._bary, at_vertices[self._corner]).reshape(-1, at_vertices.shape[1])
 
-    def augment(self, left: float = LEFT_MM) -> None:
+    def augment(self, left: float = LEFT_MM, tie_at: wp.array | None = None) -> None:
         """λ and λ_t become the present pressure and traction, projected (L²) on linear functions over the slave's faces.
 
-        Pressure that these miss is kept by its points, but for what an overlap of `left` [mm] bears; inf: none is.
+        Pressure that these miss is kept by its points, but for what an overlap of `left` [mm] bears; inf: none is. With positions `tie_at`,
+        of what sticks, points that touch are tied until the next augmentation; others stick from here on, should they come to touch.
         """
         tractions = self.pressure.numpy()[:, None]
         if self.frictional:
-            tractions = np.concatenate([tractions, self.traction.numpy()], axis=1)
+            touches = tractions > 0.0
+            tractions = np.concatenate([tractions, np.where(touches, self.traction.numpy(), 0.0)], axis=1)
+            tied = touches[:, 0] & (tie_at is not None)
+            self.tied.assign(tied.astype(np.int32))
         count = tractions.shape[1]
         moment = np.einsum("fqc,qa->fac", (self.rest_weight[:, None] * tractions).reshape(-1, self.points, count), self._bary)
         at_vertices = np.zeros((len(self.vertices), 4))
@@ -460,6 +475,11 @@ class SurfaceContact:
         missed = pressure - self._at_points(np.maximum(at_vertices[:, :1], 0.0))[:, 0]
         self.kept = self.kept.copy()  # states that were saved hold it
         self.kept[:, 0] = np.where(pressure > 0.0, missed - np.clip(missed, -left * self._k, left * self._k), 0.0)
+        if tie_at is not None:
+            apart = np.flatnonzero(~tied & (self.anchor_face.numpy() >= 0))
+            self.kept[apart, 1:] = -self._at_points(at_vertices[:, 1:])[apart]
+            self.passed = self.passed.copy()
+            self.passed[apart] = self._moved(apart, tie_at.numpy())
         self.set_multipliers(at_vertices)
 
     def projection(self, points: NDArray[np.integer]) -> tuple[sp.csr_matrix, SuperLU]:
@@ -492,11 +512,13 @@ class SurfaceContact:
         for name in _PLACES:
             wp.copy(getattr(self, name), getattr(state, name))
         self.kept, self.passed, self._apart = state.kept, state.passed, state.apart
+        self.tied.fill_(0)
         self.set_multipliers(state.multipliers)
 
     def forget(self) -> None:
         """No history, no multipliers, no pairs: as it was made."""
         self.anchor_face.fill_(-1)
+        self.tied.fill_(0)
         self.face.fill_(-1)
         self.kept, self.passed, self._apart = np.zeros_like(self.kept), np.zeros_like(self.passed), NOWHERE
         self.set_multipliers(np.zeros_like(self.multipliers))
@@ -517,7 +539,7 @@ class SurfaceContact:
         slave, master = own_face[near], face[near]
         if self.frictional:
             anchor = self.anchor_face.numpy()
-            held = (anchor >= 0) & near
+            held = (anchor >= 0) & (near | (self.tied.numpy() > 0))
             slave, master = np.append(slave, own_face[held]), np.append(master, anchor[held])
         touching = sp.csr_matrix((np.ones(len(slave), bool), (slave, master)), shape=(len(self.slave_faces), len(self.master_faces)))
         own_nodes, nodes_around = self._incidence

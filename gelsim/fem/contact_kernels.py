@@ -345,13 +345,13 @@ def friction_force(
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_place: wp.array(dtype=wp.vec3d),
     shift: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64),
-    traction: wp.array(dtype=wp.vec3d), force: wp.array(dtype=wp.vec3d),
+    tied: wp.array(dtype=wp.int32), traction: wp.array(dtype=wp.vec3d), force: wp.array(dtype=wp.vec3d),
 ):  # fmt: skip
     """`traction` becomes that on the gel."""
     i = wp.tid()
     base = scene_of(layout, i) * layout.nodes
     traction[i] = wp.vec3d()
-    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+    if (pressure[i] <= wp.float64(0.0) and tied[i] == 0) or anchor_face[i] < 0:
         return
     m = shape[i % layout.points]
     s = shares(layout, anchor_place[i])
@@ -430,12 +430,12 @@ def friction_tangent(
     weight: wp.array(dtype=wp.float64), master: wp.array2d(dtype=wp.int32), normal: wp.array(dtype=wp.vec3d),
     pressure: wp.array(dtype=wp.float64), anchor_face: wp.array(dtype=wp.int32), anchor_place: wp.array(dtype=wp.vec3d),
     shift: wp.array(dtype=wp.vec3d), friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64),
-    geometric: wp.array(dtype=wp.float64),
+    tied: wp.array(dtype=wp.int32), geometric: wp.array(dtype=wp.float64),
     pattern: PairPattern, values: wp.array(dtype=wp.float64), missing: wp.array(dtype=wp.int32),
 ):  # fmt: skip
     i = wp.tid()
     base = scene_of(layout, i) * layout.nodes
-    if pressure[i] <= wp.float64(0.0) or anchor_face[i] < 0:
+    if (pressure[i] <= wp.float64(0.0) and tied[i] == 0) or anchor_face[i] < 0:
         return
     m = shape[i % layout.points]
     s = shares(layout, anchor_place[i])
@@ -573,7 +573,8 @@ def add_remainder(
     face: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3d), normal: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64),
     multiplier: wp.array(dtype=wp.float64), stiffness: wp.array(dtype=wp.float64), eps: wp.float64, bend: wp.array(dtype=wp.mat33d),
     frictional: wp.bool, anchor_face: wp.array(dtype=wp.int32), anchor_place: wp.array(dtype=wp.vec3d), shift: wp.array(dtype=wp.vec3d),
-    friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64), geometric: wp.array(dtype=wp.float64),
+    friction: wp.array(dtype=wp.float64), stick: wp.array(dtype=wp.float64), tied: wp.array(dtype=wp.int32),
+    geometric: wp.array(dtype=wp.float64),
     equation: wp.array2d(dtype=wp.int32), v: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     """Adds to `out` the derivative of the contact's forces along v less what the two tangents assemble, where `geometric` is set."""
@@ -583,7 +584,7 @@ def add_remainder(
     f = face[i]
     k = stiffness[i // layout.points]
     s0 = multiplier[i] / k - gap[i]
-    if geometric[scene] == wp.float64(0.0) or f < 0 or s0 <= wp.float64(0.0):
+    if geometric[scene] == wp.float64(0.0) or f < 0 or (s0 <= wp.float64(0.0) and tied[i] == 0):
         return
     w = weight[i]
     p = w * penalty_pressure(s0, k, eps)

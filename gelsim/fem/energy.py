@@ -25,6 +25,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gelsim.fem.problem import PressProblem
+from gelsim.results import EnergyReport
 
 Array = NDArray[np.float64]
 JOULE = 1e-6  # per solver unit of energy, mN·mm
@@ -122,12 +123,12 @@ class EnergyBalance:
         overlap[pressure <= 0.0] = 0.0
         return pressure, overlap
 
-    def report(self) -> dict[str, float]:
+    def report(self) -> EnergyReport:
         """Energies of the whole body [J] and the relative drift."""
         from scipy.interpolate import PchipInterpolator
 
         if not self._power:
-            return {"work_j": 0.0, "stored_j": 0.0, "dissipated_j": 0.0, "overlap_j": 0.0, "changed_j": 0.0, "drift": 0.0}
+            return EnergyReport()
         time, (begin, end) = np.array(self._time), np.array(self._power).T
         work = done = 0.0
         for first, last in pairwise([*sorted({first for first in self._legs if first < len(begin)}), len(begin)]):
@@ -140,11 +141,11 @@ class EnergyBalance:
             power = PchipInterpolator(time[first : last + 1], [begin[first], *between, end[last - 1]])
             leg = float(power.integrate(time[first], time[last]))
             work, done = work + leg, done + max(leg, 0.0)
-        parts = (work, self._stored, self._lost, self._overlap_work, self._changed)
         drift = (work - self._held) / done if done > _SEEN else 0.0
         scale = self.problem.copies * JOULE
         names = ("work_j", "stored_j", "dissipated_j", "overlap_j", "changed_j")
-        return {name: part * scale for name, part in zip(names, parts, strict=True)} | {"drift": drift}
+        parts = (work, self._stored, self._lost, self._overlap_work, self._changed)
+        return EnergyReport(drift=drift, **{name: part * scale for name, part in zip(names, parts, strict=True)})
 
 
 def _power_law_work(start: float, stop: float, begin: float, end: float) -> float:

@@ -167,8 +167,8 @@ class PressProblem:
         """Force on the gel by the object [N], the whole body's."""
         c = self.contact
         pressure = c.pressure.numpy()[:, None]
-        local = pressure * c.normal.numpy() + (c.traction.numpy() if c.frictional else 0.0)
-        return self._across_planes((c.rest_weight[:, None] * np.where(pressure > 0, local, 0.0)).sum(0) * self.copies)
+        local = np.where(pressure > 0, pressure * c.normal.numpy(), 0.0) + (c.traction.numpy() if c.frictional else 0.0)
+        return self._across_planes((c.rest_weight[:, None] * local).sum(0) * self.copies)
 
     def support_force(self) -> Array:
         """Reaction [N] of the window on the gel, for the force balance: equal and opposite to `contact_force` at equilibrium."""

@@ -22,7 +22,7 @@ from gelsim.fem.problem import PressProblem
 from gelsim.fem.self_contact import closing_gap
 from gelsim.fem.touching import touching_area
 from gelsim.geometry import QuadraticSurface, mirror_surface, split_faces
-from gelsim.results import Deformation, SurfaceMotion
+from gelsim.results import Deformation, ErrorEstimate, SolveReport, SurfaceMotion
 from gelsim.scene.definition import Gel
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.shapes import gel_height
@@ -94,17 +94,17 @@ class Recorder:
             converged=np.ones(len(everything), bool),
             status=status,
             message=message,
-            info={
-                **({"warnings": told} if told else {}),
-                "unknowns": problem.solids.unknowns,
-                "steps_halved": steps_halved,
-                "symmetry": self._symmetry(),
-                "rigid_object": problem.scene.object.rigid,
-                "linear_solver": problem.linear_solver,
-                "factorisations": int(numbers["linear_iterations"].sum()),
-                "stress_jump": float(jump[-1]),
-                "error_estimate": {"force": of_force, "membrane_um": MEMBRANE_ERROR_PER_KINK * kink * 1e6},
-            },
+            report=SolveReport(
+                warnings=tuple(told),
+                unknowns=problem.solids.unknowns,
+                steps_halved=steps_halved,
+                symmetry=self._symmetry(),
+                rigid_object=problem.scene.object.rigid,
+                linear_solver=problem.linear_solver,
+                factorisations=int(numbers["linear_iterations"].sum()),
+                stress_jump=float(jump[-1]),
+                error_estimate=ErrorEstimate(of_force, MEMBRANE_ERROR_PER_KINK * kink * 1e6),
+            ),
             **numbers,
         )
 
@@ -122,8 +122,8 @@ class Recorder:
         gel = self.problem.gel
         return surface_kink(gel.rest_positions, gel.groups["coated"], displacement)
 
-    def _symmetry(self) -> object:
-        return sorted(self.problem.gel.symmetry)
+    def _symmetry(self) -> str | tuple[str, ...]:
+        return tuple(sorted(self.problem.gel.symmetry))
 
     def _surfaces(self, everything: Array) -> tuple[SurfaceMotion, SurfaceMotion, Array]:
         """Motion of the gel's outer face and of the object's, and the pressure at the gel's nodes, all of the whole body."""

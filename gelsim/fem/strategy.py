@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
 from gelsim.errors import SolveStatus
-from gelsim.fem.quasistatic import Course
+from gelsim.fem.quasistatic import SOON, Course
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
 
@@ -24,23 +24,16 @@ class Try:
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     most_wasted: int | None = None
     """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
-    friction: tuple[float, float] | None = None
-    """The smallest μ, and the one that stands for sticking; None leaves the scene's."""
+    least_friction: float = 0.0
+    """The smallest μ."""
     goes_on: bool = False
     """Begins where the try before it ended, not at rest."""
 
 
-STICK = 10.0
-"""μ that stands for sticking where that failed: without any bound a point that lifts off drops its whole traction at once, and where a
-step's solution lies on that jump Newton finds none."""
-
 GRIP = 0.3
 """μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
 
-SOON = 30
-"""Failed iterations after which another try goes on from where one stands: some two solves."""
-
-PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0, friction=(0.0, STICK)), Try(12, held=20.0, friction=(GRIP, STICK))
+PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0), Try(12, held=20.0, least_friction=GRIP)
 
 
 def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
@@ -60,7 +53,7 @@ def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> 
         turns.append((way, 0.0 if course.before is None else 1e3 * course.before.approach))
         number, course.followed = number + 1, bool(left) and left[0].goes_on
         press = yield way, course
-        _note(press, scene, turns, number)
+        press = _reported(press, scene, turns, number)
         if course.searched:
             course.searched, left, best = False, ways(scene), None
             continue
@@ -80,35 +73,31 @@ def ways(scene: Scene) -> list[Try]:
 
 def tried(scene: Scene, way: Try) -> Scene:
     """The scene as it is solved."""
-    if way.friction is None:
+    asked = scene.contact.friction_coefficient
+    if isinstance(asked, str) or asked >= way.least_friction:
         return scene
-    asked, (least, stick) = scene.contact.friction_coefficient, way.friction
-    friction = max(asked, least) if isinstance(asked, float | int) else stick
-    return scene if friction == asked else scene.replace(contact=replace(scene.contact, friction_coefficient=friction))
+    return scene.replace(contact=replace(scene.contact, friction_coefficient=way.least_friction))
 
 
-def _note(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> None:
-    """Tells in a press's info which try it is, and which led there: each with the approach [mm] that it went on from."""
+def _reported(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> Deformation:
+    """The press whose report says which try it is, and which led there: each with the approach [mm] that it went on from."""
     way = turns[-1][0]
-    press.info["tried"] = number
-    press.info["contact_points"] = way.contact_points
-    if len(turns) > 1:
-        press.info["went_on_from_mm"] = [round(start, 4) for _, start in turns[1:]]
+    asked = scene.contact.friction_coefficient
+    solved = tried(scene, way).contact.friction_coefficient
+    press = press.reporting(
+        tried=number,
+        contact_points=way.contact_points,
+        went_on_from_mm=tuple(round(start, 4) for _, start in turns[1:]),
+        friction_coefficient=solved,
+    )
     # those after a try with held volume have it too
     since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
     if way.held > 0.0:
         told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
-        press.warn(f"did not reach its end at first: solved {told}")
-    asked = scene.contact.friction_coefficient
-    solved = [tried(scene, turn).contact.friction_coefficient for turn, _ in turns]
-    press.info["friction_coefficient"] = solved[-1]
-    if other := [number for number, friction in enumerate(solved) if friction != asked]:
-        start, after = turns[other[0]][1], other[-1] + 1
-        where = f" from {start:.4g} mm on" if start else ""
-        if after < len(turns):
-            where = f" from {start:.4g} to {turns[after][1]:.4g} mm"
-        instead = " and ".join(dict.fromkeys(f"{solved[number]:g}" for number in other))
-        press.warn(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {instead} instead{where}")
+        press = press.warned(f"did not reach its end at first: solved {told}")
+    if solved != asked:  # it began at rest
+        press = press.warned(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved} instead")
+    return press
 
 
 def further(before: Deformation | None, press: Deformation) -> Deformation:

@@ -66,8 +66,6 @@ class Solved:
     motion: Motion
     seconds: dict[str, float]
     """By stage."""
-    estimate: Any
-    """Of its error, by itself."""
     short: str = ""
     """Why it ended before its depth and its force, where it did."""
 
@@ -94,7 +92,7 @@ def solve(press: Press, device: str = "cpu") -> Solved:
         raise PressFailed(type(error).__name__, str(error)) from error
     motion = checked(solved, press.scene)
     short = "" if solved.status is SolveStatus.CONVERGED else solved.message
-    return Solved(motion, record.seconds, solved.info.get("error_estimate"), short)
+    return Solved(motion, record.seconds, short)
 
 
 def checked(solved: Deformation, scene: Scene) -> Motion:

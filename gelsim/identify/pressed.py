@@ -98,11 +98,10 @@ def press_at(
         stages.press(_of(scene, log_modulus + step, place_mm, depth_mm), device=device) for step in ((0.0,) if alone else (0.0, LOG_STEP))
     ]
     first = presses[0]
-    warnings = tuple(str(told) for told in first.info.get("warnings", []))  # type: ignore[attr-defined]
     surface = Surface(scene.gel, first.gel.rest[:, :2])
     deepest = float(min(press.approach[-1] for press in presses)) / MM
     splines = [_spline(press) for press in presses]
-    return Pressed(log_modulus, place_mm, deepest, surface, splines[0], splines[-1], warnings)
+    return Pressed(log_modulus, place_mm, deepest, surface, splines[0], splines[-1], first.report.warnings)
 
 
 def _of(scene: Scene, log_modulus: float, place_mm: tuple[float, float], depth_mm: float) -> Scene:

@@ -25,7 +25,7 @@ from gelsim.errors import PressEnd, SceneError, SolveStatus
 from gelsim.fem import rigid_placement
 from gelsim.geometry import QuadraticSurface, split_faces
 from gelsim.live.sensor import DEEPEST, LiveFrame, LiveSensor, check_scene
-from gelsim.results import Deformation, SurfaceMotion
+from gelsim.results import Deformation, ErrorEstimate, SolveReport, SurfaceMotion
 from gelsim.scene.definition import Scene
 from gelsim.scene.motion import Motion, motion, straight
 from gelsim.shape import shapes
@@ -239,16 +239,11 @@ class _Walk:
             seconds=np.array(seconds),
             converged=np.ones(count, bool),
             status=SolveStatus.CONVERGED,
-            info={
-                "symmetry": [],
-                "rigid_object": True,
-                "ended_by": end,
-                "error_estimate": {"force": force, "membrane_um": membrane_um},
-            },
+            report=SolveReport(symmetry=(), rigid_object=True, ended_by=end, error_estimate=ErrorEstimate(force, membrane_um)),
         )
         wanted = self.scene.press.force_n
         if end is PressEnd.LIMIT:
-            deformation.warn(
+            deformation = deformation.warned(
                 f"press.force_n = {wanted:g} N was not reached: the press ended at {approach[-1]:.3g} mm with {-frames[-1].force[2]:.3g} N"
             )
         return deformation

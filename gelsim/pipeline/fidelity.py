@@ -13,12 +13,12 @@ Left out: error of the load steps, of the material and of the contact law; meshe
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gelsim.errors import SolveError, SolveStatus
-from gelsim.results import Deformation
+from gelsim.results import Deformation, ErrorEstimate
 
 # Fidelities from cheap to dear, with what presses tell of themselves: relative of the force, the medians of docs/validation.md, Accuracy;
 # of the membrane [µm], of the scenes of docs/studies/error_estimate.py, which are solids.
@@ -63,7 +63,7 @@ class Chosen:
 def press_to_target(target: Target, solve: Callable[[str], Deformation], kind: str = "solid") -> Chosen:
     """Solves at one fidelity after the other until the estimate meets the target, from the cheapest that is predicted to.
 
-    The estimate of the press that is returned (info["error_estimate"]) is the one that was decided by.
+    The estimate of the press that is returned (its report's) is the one that was decided by.
 
     Args:
         solve: Presses at a fidelity.
@@ -84,15 +84,15 @@ def press_to_target(target: Target, solve: Callable[[str], Deformation], kind: s
         if kept is not None and press.status is not SolveStatus.CONVERGED:
             return Chosen(kept.press, kept.fidelity, f"{name} could not be solved ({press.message})", False, tried)
         how = "its own estimate"
-        estimate: dict[str, float] = dict(press.info["error_estimate"])  # type: ignore[call-overload,arg-type]
+        estimate = _estimate(press)
         if kept is not None:
             compared = _by_difference(kept.press, press)
-            if compared < estimate["force"]:
-                estimate["force"], how = compared, f"its difference from {kept.fidelity}"
-                press.info["error_estimate"] = estimate
-        tried.append({"fidelity": name, **estimate, "by": how})
-        met = target.allows(estimate["force"], estimate["membrane_um"])
-        said = f"{100 * estimate['force']:.2g} % of force, {estimate['membrane_um']:.2g} µm of membrane by {how}"
+            if compared < estimate.force:
+                estimate, how = replace(estimate, force=compared), f"its difference from {kept.fidelity}"
+                press = press.reporting(error_estimate=estimate)
+        tried.append({"fidelity": name, "force": estimate.force, "membrane_um": estimate.membrane_um, "by": how})
+        met = target.allows(estimate.force, estimate.membrane_um)
+        said = f"{100 * estimate.force:.2g} % of force, {estimate.membrane_um:.2g} µm of membrane by {how}"
         kept = Chosen(press, name, f"target {target}: {said}", met, tried)
         if met or press.status is not SolveStatus.CONVERGED:
             break
@@ -115,14 +115,20 @@ def _first(target: Target, predicted: dict[str, tuple[float, float]]) -> int:
     return alone if alone < last else max(of_membrane - 1, 0)
 
 
+def _estimate(press: Deformation) -> ErrorEstimate:
+    assert press.report.error_estimate is not None  # every press has one
+    return press.report.error_estimate
+
+
 def _by_difference(coarse: Deformation, fine: Deformation) -> float:
     """Relative force error of `fine` from its difference to `coarse`, over the states that both have."""
     force, before = -fine.force[:, 2], -coarse.force[:, 2]
     count = min(len(force), len(before))
     same = np.isclose(fine.approach[:count], coarse.approach[:count], rtol=1e-9, atol=0.0)  # a press that ends at a force ends elsewhere
     same &= force[:count] >= COMPARED * force.max()
-    own = fine.info["error_estimate"]["force"]  # type: ignore[index]
-    share = fine.info["stress_jump"] / coarse.info["stress_jump"]  # type: ignore[operator]
+    own, jump, before_it = _estimate(fine).force, fine.report.stress_jump, coarse.report.stress_jump
+    assert jump is not None and before_it is not None
+    share = jump / before_it
     if not same.any() or not 0 < share < 1:
         return own
     difference = float(np.abs(before[:count][same] / force[:count][same] - 1).max())

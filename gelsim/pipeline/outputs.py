@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.errors import SceneError, SolveStatus
-from gelsim.results import Deformation, Frame, SurfaceMotion
+from gelsim.results import Deformation, Frame, SolveReport, SurfaceMotion
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import dump_scene
 from gelsim.tables import read_csv
@@ -34,7 +34,7 @@ RESULTS = "scene.toml", "report.json", "press.npz", "probe.csv", *PICTURES
 """Names that gelsim writes into a result folder; `force` removes these and nothing else."""
 
 ACCOUNT = {"meshes": dict, "choices": dict, "warnings": list, "info": dict, "mesh_sha256": str}
-"""What press.npz holds for the report of a press that is taken from it (`stages.Record`, `Deformation.info`), and of its mesh file."""
+"""What press.npz holds for the report of a press that is taken from it (`stages.Record`, `SolveReport`), and of its mesh file."""
 
 VIDEO_SECONDS = 2.5
 """A press lasts about this long in video.mp4 (in truth: depth over speed, 0.2 s): long enough to look at ten frames."""
@@ -150,9 +150,15 @@ def read_account(path: Path) -> dict[str, Any]:
             account = json.loads(str(data["account"])) if "account" in data.files else {}
         if not isinstance(account, dict) or any(type(account.get(name, kind())) is not kind for name, kind in ACCOUNT.items()):
             raise ValueError("its account is none")
-    except (OSError, ValueError, KeyError, RecursionError, zipfile.BadZipFile) as error:
+        solve_report(account)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, zipfile.BadZipFile) as error:
         raise SceneError(f"{path}: is not a press.npz of gelsim ({error})") from None
     return account
+
+
+def solve_report(account: Mapping[str, Any]) -> SolveReport:
+    """The report that an account holds."""
+    return SolveReport.from_table(account.get("info", {}))
 
 
 def read_press(path: Path) -> Deformation:

@@ -165,12 +165,12 @@ def _press_solid(
         except (MeshingError, SceneError) as error:
             if best is None:
                 raise
-            best.warn(f"did not reach its end with the object's first mesh, and could not be given another: {error}")
+            best = best.warned(f"did not reach its end with the object's first mesh, and could not be given another: {error}")
             break
         with record.stage("press"):
             found = solve_press(scene, gel, body, placement, device=device, progress=progress, enough=enough)
         if draw:
-            found.warn(f"did not reach its end with the object's first mesh: solved with one drawn anew, number {draw + 1}")
+            found = found.warned(f"did not reach its end with the object's first mesh: solved with one drawn anew, number {draw + 1}")
         best = further(best, found)
         if best is found:
             meshes = dict(record.meshes)
@@ -202,10 +202,9 @@ def _press_profile(
             progress=progress,
             throw=throw,
         )
-    estimate = press.info["error_estimate"]
-    assert isinstance(estimate, dict)
-    estimate["force"] += reduction.error
-    return press
+    estimate = press.report.error_estimate
+    assert estimate is not None
+    return press.reporting(error_estimate=replace(estimate, force=estimate.force + reduction.error))
 
 
 def _press_to_target(
@@ -555,14 +554,14 @@ def _earlier_press(scene: Scene, content: str, out: Path, record: Record) -> tup
             f"--resume {out}: its press was made with another {' or '.join(files)}; give --force to solve it anew, or another --out"
         )
     record.add(Record(meshes=account.get("meshes", {}), choices=account.get("choices", {}), warnings=account.get("warnings", [])))
-    deformation.info.update(account.get("info", {}))
-    return deformation, earlier
+    return replace(deformation, report=outputs.solve_report(account)), earlier
 
 
 def _write_mechanics(folder: outputs.ResultFolder, scene: Scene, content: str, deformation: Deformation, record: Record) -> None:
     """The press in place of earlier results, with what `_earlier_press` reads of it."""
     account = {
-        "meshes": record.meshes, "choices": record.choices, "warnings": record.warnings, "info": deformation.info, "mesh_sha256": content
+        "meshes": record.meshes, "choices": record.choices, "warnings": record.warnings, "info": deformation.report.table(),
+        "mesh_sha256": content,
     }  # fmt: skip
     folder.remove()
     folder.write("scene.toml", lambda path: outputs.write_scene(path, scene))
@@ -587,9 +586,8 @@ def _write_pictures(folder: outputs.ResultFolder, scene: Scene, deformation: Def
 
 
 def _report(scene: Scene, device: str, record: Record, deformation: Deformation, start: float, out: Path) -> dict[str, Any]:
-    info = dict(deformation.info)
-    noted = [str(text) for text in info.pop("warnings", [])]  # type: ignore[attr-defined]
-    estimate = info.pop("error_estimate", None)
+    told, noted, estimate = deformation.report.table(), list(deformation.report.warnings), deformation.report.error_estimate
+    solved = {name: value for name, value in told.items() if name not in ("warnings", "error_estimate")}
     if not deformation.converged.all():
         noted.append(f"{int((~deformation.converged).sum())} of {len(deformation.converged)} states did not converge")
     overlap = float(deformation.penetration.max()) * 1e3
@@ -599,8 +597,8 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
             f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"
             + (f": a sharp or crushed edge; --fidelity {finer} shows how much" if finer else "")
         )
-    if isinstance(estimate, dict) and (doubt := estimate.get("force") or 0.0) > UNSURE:
-        noted.append(f"the force is known to {100 * doubt:.2g} % only (error_estimate); a finer --fidelity tells more")
+    if estimate is not None and estimate.force > UNSURE:
+        noted.append(f"the force is known to {100 * estimate.force:.2g} % only (error_estimate); a finer --fidelity tells more")
     noted += _beside_picture(scene, deformation)
     report = {
         "out": str(out),
@@ -617,8 +615,8 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
         },
         "seconds": record.seconds | {"total": round(time.perf_counter() - start, 3)},
         "meshes": record.meshes,
-        "choices": record.choices | info,
-        "error_estimate": estimate,
+        "choices": record.choices | solved,
+        "error_estimate": told.get("error_estimate"),
         "error_estimate_note": None
         if estimate is not None
         else "not estimated by this version; --fidelity reference against balanced shows it",

@@ -259,7 +259,7 @@ def test_what_a_failed_search_for_the_force_leaves(monkeypatch: pytest.MonkeyPat
     kept_problem, kept = solved(problem_of(scene, flat_gel(0.7, 2.1), soft_cap()))
     assert len(tried) == 2 and tried[1] < 0.8 * tried[0]
     assert kept.approach == pytest.approx(taken.approach)
-    assert "press.force_n = 0.001 N was passed" in kept.info["warnings"][-1] and "warnings" not in taken.info
+    assert "press.force_n = 0.001 N was passed" in kept.report.warnings[-1] and not taken.report.warnings
     # the same equations to Newton's tolerance
     assert kept.force == pytest.approx(taken.force, rel=1e-4, abs=1e-9)
     assert wanted.memory is not None and kept_problem.memory is not None

@@ -52,7 +52,7 @@ def test_one_waypoint_is_the_short_form() -> None:
     path = pressed({"path": [{"depth_mm": 0.4, "shear_mm": [0.2, 0.0], "duration_s": 0.2}], "frames": 3}, 0.3)
     assert path.time == pytest.approx(short.time) and path.approach == pytest.approx(short.approach)
     assert path.force == pytest.approx(short.force, abs=STOPS * np.abs(short.force).max())
-    assert path.info["ended_by"] == PressEnd.PATH
+    assert path.report.ended_by == PressEnd.PATH
 
 
 def test_several_forces_are_states_of_one_press() -> None:
@@ -125,9 +125,9 @@ def test_a_path_that_is_lost_goes_on_by_another_way(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
     press = pressed({"path": way, "frames": 7}, 0.8)
-    assert press.info["ended_by"] == PressEnd.PATH and press.info["tried"] == 2 and len(press.time) == 7
+    assert press.report.ended_by == PressEnd.PATH and press.report.tried == 2 and len(press.time) == 7
     assert press.time == pytest.approx(expected.time)
-    assert press.info["went_on_from_mm"] == [pytest.approx(1e3 * press.approach[3], abs=1e-3)]
+    assert press.report.went_on_from_mm == (pytest.approx(1e3 * press.approach[3], abs=1e-3),)
     # volume that is held makes a mesh at `fast` up to 2 % stiffer (docs/mechanics.md): less deep by 2/3 of that at the same force
     assert press.approach[:5] == pytest.approx(expected.approach[:5], rel=0.015, abs=1e-6)
     assert press.force[:5, 0] == pytest.approx(expected.force[:5, 0], abs=0.02 * 0.1)

@@ -112,7 +112,8 @@ def by_twin(pair: Pair, x: Array, force: Callable[[Array, tuple], Array]) -> Arr
     total, c = np.zeros_like(x), pair.contact
     met, anchors, stiffness, stick = (a.numpy() for a in (c.face, c.anchor_face, c.stiffness, c.stick))
     place, anchored, shift, multiplier = (a.numpy() for a in (c.place, c.anchor_place, c.shift, c.multiplier))
-    for i in touching(pair):
+    tied = c.tied.numpy() > 0
+    for i in np.union1d(touching(pair), np.flatnonzero(tied)):
         own = i // c.points
         nodes = np.concatenate([c.slave_faces[own], c.master_faces[met[i]], c.master_faces[anchors[i]]])
         law = ContactLaw(float(stiffness[own]), SMOOTHING, c.law.friction, float(stick[own]))
@@ -214,6 +215,38 @@ def test_whole_tangent(friction: float, shear: float, slips: bool, curved: bool)
     numeric = (pair.force(x + h * d) - pair.force(x - h * d)) / (2 * h)
     assert np.linalg.norm(numeric) > 1.0, "a derivative that is zero would prove nothing"
     assert off(assembled + rest, numeric) < 1e-7
+
+
+def test_what_is_tied_lets_go_once_that_is_settled() -> None:
+    """A sheared gel that sticks is lifted: what is tied keeps its traction while it parts; what comes to touch begins with none."""
+    pair = Pair(-1.0, True)
+    x, contact = pair.slide(0.003), pair.contact
+    contact.augment(tie_at=wp.array(x, dtype=wp.vec3d, device="cpu"))
+    tied = contact.tied.numpy() > 0
+    assert tied.sum() > 20 and (tied == (contact.pressure.numpy() > 0)).all()
+
+    def dragged(lift: float) -> Array:
+        """Traction on the gel's points, where it is lifted by so much [mm]; 4 µm of overlap to begin with."""
+        moved = x.copy()
+        moved[pair.gel, 2] -= lift
+        pair.force(moved)
+        return contact.traction.numpy().copy()
+
+    def largest_jump() -> float:
+        """Of a tied point's traction between places an eighth of the smoothing apart, as a share of the largest traction."""
+        way = np.array([dragged(lift)[tied] for lift in np.arange(0.0, 0.02, SMOOTHING / 8)])
+        return float(np.linalg.norm(np.diff(way, axis=0), axis=2).max() / np.linalg.norm(way, axis=2).max())
+
+    assert largest_jump() < 1e-3  # lifting turns no normal
+    down = dragged(-0.01)  # all touch, moved by the lift alone: next to nothing along the object
+    assert (contact.pressure.numpy() > 0).sum() > tied.sum()
+    assert np.linalg.norm(down[~tied], axis=1).max() < 0.1 * np.linalg.norm(down[tied], axis=1).max()
+    dragged(0.02)
+    contact.augment()
+    assert not contact.tied.numpy().any() and not dragged(0.02).any()
+    # planted: not tied, a point lets go at once
+    contact.set_multipliers(np.ones_like(contact.multipliers))
+    assert largest_jump() > 0.9
 
 
 class RigidPair(Pair):

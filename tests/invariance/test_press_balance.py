@@ -66,20 +66,20 @@ def test_work_is_stored_or_dissipated() -> None:
     _, soft = cap_press(cap_scene(200.0, 0.6, 4))
     _, dragged = ball_press(ball_scene(0.3, 8, friction=0.3, shear_mm=(0.25, 0.0)), 0.7, 2.1, whole="x")
     for press in (smooth, soft, dragged):
-        energy = press.info["energy"]
-        assert isinstance(energy, dict)
+        energy = press.report.energy
+        assert energy is not None
         # the 1 %; measured 0.2 % without friction (the cubics through the steps, the first of which begins like s^1.5) and 0.1 %
         # with it, where slip's second order leaves 0.8 % at half the steps
-        assert abs(energy["drift"]) < 0.01
-        assert (energy["dissipated_j"] == 0.0) == (press is not dragged)
-        assert energy["overlap_j"] < 0.01 * energy["work_j"]
+        assert abs(energy.drift) < 0.01
+        assert (energy.dissipated_j == 0.0) == (press is not dragged)
+        assert energy.overlap_j < 0.01 * energy.work_j
         # the balance is of independent numbers: the force curve gives the platen's normal work again, by trapezoids, which at m steps are
         # 0.38/m² too high for a force like s^1.7
         again = np.trapezoid(-press.force[:, 2], press.approach)
-        assert 0.98 < again / energy["work_j"] < 1.05 or press is dragged
+        assert 0.98 < again / energy.work_j < 1.05 or press is dragged
     # what friction takes is seen: without it the balance is not met
-    energy = dragged.info["energy"]
-    assert isinstance(energy, dict) and energy["dissipated_j"] > 0.03 * energy["work_j"]
+    energy = dragged.report.energy
+    assert energy is not None and energy.dissipated_j > 0.03 * energy.work_j
 
 
 def test_first_state_is_untouched() -> None:

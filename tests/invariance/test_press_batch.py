@@ -20,10 +20,10 @@ from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
-from gelsim.fem.quasistatic import Course, Request
-from gelsim.fem.strategy import GRIP, SOON, ways
+from gelsim.fem.quasistatic import SOON, Course, Request
+from gelsim.fem.strategy import GRIP, ways
 from gelsim.pipeline import stages
-from gelsim.results import Deformation
+from gelsim.results import Deformation, SolveReport
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 from gelsim.scene.materials import press_materials
@@ -133,7 +133,7 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
         for course, (_, end) in zip(courses, ends, strict=True):
             if end is PressEnd.LOST:
                 course.before = cast(Any, SimpleNamespace(approach=0.5e-3))
-        return [replace(solved, status=status, approach=farther, info={"ended_by": end}) for status, end in ends]
+        return [replace(solved, status=status, approach=farther, report=SolveReport(ended_by=end)) for status, end in ends]
 
     scenes = [scene(100.0), scene(45.0, friction="stick"), scene(400.0, friction=GRIP), scene(45.0, friction=0.1)]
     told: list[tuple[int, int]] = []
@@ -147,14 +147,14 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     at_rest = (MOST_WASTED, True)
     assert patience == [[(MOST_WASTED, False)] * 4, [(SOON, False)] * 3, [at_rest] * 2, [at_rest]]
     assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
-    assert [press.info["tried"] for press in presses] == [1, 2, 3, 4]
-    assert [press.info["contact_points"] for press in presses] == [6, 12, 12, 12]
-    assert [press.info.get("went_on_from_mm") for press in presses] == [None, [0.5], None, None]
-    # what sticks slides at a large friction then, what nothing holds has some the last time; both say so, and since when
-    assert [[one[2] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [10.0, GRIP, 0.1], [GRIP, 0.1], [GRIP]]
-    assert [press.info["friction_coefficient"] for press in presses] == [0.0, 10.0, GRIP, GRIP]
-    said = ["\n".join(press.info.get("warnings", [])) for press in presses]  # type: ignore[arg-type]
-    assert ["no equilibrium was found on its way: solved with" in one for one in said] == [False, True, False, True]
+    assert [press.report.tried for press in presses] == [1, 2, 3, 4]
+    assert [press.report.contact_points for press in presses] == [6, 12, 12, 12]
+    assert [press.report.went_on_from_mm for press in presses] == [(), (0.5,), (), ()]
+    # what sticks goes on sticking, what nothing holds has some friction the last time, and says so
+    assert [[one[2] for one in tries] for tries in asked] == [[0.0, -1.0, GRIP, 0.1], [-1.0, GRIP, 0.1], [GRIP, 0.1], [GRIP]]
+    assert [press.report.friction_coefficient for press in presses] == [0.0, "stick", GRIP, GRIP]
+    said = ["\n".join(press.report.warnings) for press in presses]
+    assert ["no equilibrium was found on its way: solved with" in one for one in said] == [False, False, False, True]
     assert ["from 0.5 mm on" in one for one in said] == [False, True, False, False]
     assert told[-1] == (4, 4)
 
@@ -304,7 +304,7 @@ def test_factors_of_no_use_are_replaced(wrong: float, monkeypatch: pytest.Monkey
     for press, one in zip(batch.run(None, None), scenes, strict=True):
         assert press.status is SolveStatus.CONVERGED
         assert same_force(alone(one), press)
-        assert any("of no use" in told for told in press.info.get("warnings", [])) == (one is scenes[1])
+        assert any("of no use" in told for told in press.report.warnings) == (one is scenes[1])
     assert batch.moved.tolist() == [False, True] and batch.system._direct[0] is None
     assert no_good.factorised[1] == 2 * patterns  # of each pattern once, and once more to be sure
     # planted: without the replacement it stops
@@ -405,7 +405,7 @@ def test_gmres_against_numpy() -> None:
 
 def test_what_reduces_to_a_profile_is_not_batched() -> None:
     reduced, solid = stages.press_batch([scene(200.0, symmetry="auto"), scene(200.0)], device="cpu")
-    assert reduced.info["unknowns"] < solid.info["unknowns"]
+    assert reduced.report.unknowns < solid.report.unknowns
     assert reduced.force[-1, 2] == pytest.approx(solid.force[-1, 2], rel=0.05)  # `fast`: within 5 % each
 
 

@@ -27,7 +27,7 @@ def test_the_press_ends(body: Body) -> None:
     assert found.status is SolveStatus.CONVERGED and len(found.force) == 3
     assert found.min_jacobian.min() > 0.5 and found.penetration.max() < 40e-6
     assert -found.force[2, 2] > -found.force[1, 2] > 0.0
-    assert "warnings" not in found.info
+    assert not found.report.warnings
 
 
 def force(skin: Skin, fidelity: str) -> float:
@@ -66,7 +66,7 @@ def test_a_skin_of_the_flesh_changes_only_the_mesh() -> None:
 def test_an_object_beyond_the_border_of_the_gel_is_noted(body: Body, offset: tuple[float, float], beyond: str | None) -> None:
     press = Press(depth_mm=0.5, force_n=None, frames=3, offset_mm=offset)
     found = stages.press(Scene(gel=Gel("flat", (12.0, 12.0), 3.0), object=body, press=press, fidelity="fast"))
-    told = found.info.get("warnings", [])
+    told = list(found.report.warnings)
     assert found.status is SolveStatus.CONVERGED
     assert told == (
         [f"the object goes {beyond} beyond the border of the gel (gel.size_mm = 12 12 mm), whose sides are free: no housing beside it"]

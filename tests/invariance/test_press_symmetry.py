@@ -89,7 +89,7 @@ def test_float32_and_float64_factors_agree(friction: float) -> None:
     single = cap_press(scene)[1]
     with float64_factors():
         double = solved(problem_of(scene, flat_gel(0.7, 2.1), soft_cap()))[1]
-    assert "float32" in str(single.info["linear_solver"]) and "float32" not in str(double.info["linear_solver"])
+    assert "float32" in str(single.report.linear_solver) and "float32" not in str(double.report.linear_solver)
     # A step is off by under 1e-4 of itself, and the last one begins at a residual of 0.05 or less (CHORD_BELOW): the same path.
     assert 0 < np.abs(single.force - double.force).max() <= 1e-4 * 0.05 * np.abs(double.force).max()
     assert (single.newton_iterations == double.newton_iterations).all()

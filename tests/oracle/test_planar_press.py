@@ -82,7 +82,7 @@ def test_friction_and_balance() -> None:
         problem, press = press_of(replace(scene, contact=Contact(friction_coefficient=friction)))
         forces[friction] = -press.force[-1, 2]
         assert problem.support_force()[2] == pytest.approx(-problem.contact_force()[2], rel=1e-4)
-        assert abs(press.info["energy"]["drift"]) < 2e-3  # type: ignore[index]
+        assert press.report.energy is not None and abs(press.report.energy.drift) < 2e-3
     # hardly a point slides at 0.8; six steps leave 0.03 % of a force with friction
     assert forces[0.0] < forces[0.8] <= forces["stick"] * (1 + 1e-4)
 
@@ -114,7 +114,7 @@ def test_profile_against_the_quarter_of_a_square(body: Body) -> None:
     scene = Scene(object=body, press=Press(frames=4))
     profile = stages.press(scene)
     solid = stages.press(replace(scene, press=replace(scene.press, symmetry="mirror")))
-    assert profile.info["symmetry"] == "axisymmetric" and solid.info["symmetry"] == ["x", "y"]
+    assert profile.report.symmetry == "axisymmetric" and solid.report.symmetry == ("x", "y")
     # `balanced` solids are off by 0.3 % (docs/validation.md), under a cone's tip by more; the profile by 0.1 %, and by the square's corners
     assert profile.force[-1, 2] == pytest.approx(solid.force[-1, 2], rel=0.01 if body.shape == "hemisphere" else 0.03)
     from scipy.interpolate import LinearNDInterpolator
@@ -123,7 +123,7 @@ def test_profile_against_the_quarter_of_a_square(body: Body) -> None:
     difference = np.linalg.norm(found - solid.gel.displacement[-1], axis=1) * 1e6
     # What both say of themselves: 2.9 + 0.8 µm (found: 2.2); under the cone's tip 9.2 + 1.4 (5.3), on another filling 23.2 + 1.4 (4.6), for
     # kinks at a tip do not shrink with the edges. On the safe side, and of use: ten times the error would not be.
-    estimates = [press.info["error_estimate"]["membrane_um"] for press in (profile, solid)]  # type: ignore[index]
+    estimates = [press.report.error_estimate.membrane_um for press in (profile, solid) if press.report.error_estimate]
     rms = np.sqrt(np.mean(difference**2))
     assert rms < sum(estimates) < 10.0 * rms and rms < 12.0
 

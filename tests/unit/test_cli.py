@@ -18,7 +18,7 @@ from gelsim.cli.flags import Parser, add_scene_flags, layer_of
 from gelsim.errors import SolveError, SolveStatus
 from gelsim.optics import variant
 from gelsim.pipeline import stages
-from gelsim.results import Deformation
+from gelsim.results import Deformation, ErrorEstimate, SolveReport
 from gelsim.scene.definition import Scene
 from gelsim.scene.fields import field_types
 from gelsim.scene.layers import build_scene
@@ -194,12 +194,12 @@ def test_resume_tells_of_the_press_what_was_told_when_it_was_solved(
         record.meshes["gel"] = {"tets": 7}
         record.choices["symmetry"] = ["x"]
         record.warnings.append("goes over the border")
-        return replace(deformation, info={"tried": 2, "warnings": ["held"], "error_estimate": {"force_percent": 1.5}})
+        return replace(deformation, report=SolveReport(tried=2, warnings=("held",), error_estimate=ErrorEstimate(0.015, 2.0)))
 
     monkeypatch.setattr(stages, "press", solve)
     assert cli.main(["press", "--out", "a"]) == cli.OK
     first = json.loads((tmp_path / "a/report.json").read_text())
-    assert first["warnings"] == ["goes over the border", "held"] and first["error_estimate"] == {"force_percent": 1.5}
+    assert first["warnings"] == ["goes over the border", "held"] and first["error_estimate"] == {"force": 0.015, "membrane_um": 2.0}
     monkeypatch.setattr(stages, "press", lambda *_, **__: pytest.fail("solved again"))
     assert cli.main(["press", "--out", "a", "--resume"]) == cli.OK
     again = json.loads((tmp_path / "a/report.json").read_text())

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fem_fixtures import MM, TOLERANCE, ball_scene, flat_gel, problem_of, rigid_body
+from fem_fixtures import MM, TOLERANCE, Array, ball_scene, flat_gel, problem_of, rigid_body
 from planar_fixtures import press_of
 
 import gelsim.fem
@@ -21,7 +21,7 @@ from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
 from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.pipeline import stages
-from gelsim.results import Deformation
+from gelsim.results import Deformation, SolveReport
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 from gelsim.scene.materials import press_materials
@@ -57,7 +57,7 @@ def test_failure_raises_with_what_was_solved(problem: PressProblem) -> None:
         assert words in message
     assert press.approach == pytest.approx(np.arange(solved + 1) * 0.3 * MM)
     assert press.converged.all() and np.isfinite(press.gel.displacement).all()
-    assert press.info["steps_halved"] >= 2  # to a half, to a quarter
+    assert press.report.steps_halved >= 2  # to a half, to a quarter
 
 
 def test_failure_as_a_value(problem: PressProblem) -> None:
@@ -78,7 +78,7 @@ def test_a_search_for_a_force_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatc
     scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.3))
     gel, told = flat_gel(1.0, 4.0, 4, 6.0, 2.4), []
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)), progress=lambda done, total: told.append((done, total)))
-    assert press.info["ended_by"] == PressEnd.FORCE and {total for _, total in told} == {5}
+    assert press.report.ended_by == PressEnd.FORCE and {total for _, total in told} == {5}
     looked, recorded = [done for done, _ in told[:-5]], [done for done, _ in told[-5:]]
     assert len(looked) > 2 and looked == sorted(looked) and looked[-1] == 4 and recorded == [1, 2, 3, 4, 5]
 
@@ -87,12 +87,12 @@ def test_a_step_that_folds_elements_is_made_in_two(monkeypatch: pytest.MonkeyPat
     """Where every longer step counts as folded, those of an eighth are taken, and lead to the same states."""
     problem = driven(0.4, 3, 1.0)
     straight = run_press(problem)
-    assert straight.info["steps_halved"] == 0
+    assert straight.report.steps_halved == 0
     problem.reset()
     monkeypatch.setattr(quasistatic, "SMALLEST_STEP", 1 / 16)
     monkeypatch.setattr(quasistatic, "FOLDED", 10.0)
     careful = run_press(problem)
-    assert careful.info["steps_halved"] > 3
+    assert careful.report.steps_halved > 3
     # another path, whose multipliers have moved more often: some overlap less
     assert careful.force[1:, 2] == pytest.approx(straight.force[1:, 2], rel=0.01)
 
@@ -128,7 +128,7 @@ def test_steps_begin_short_and_double_while_they_are_easy(monkeypatch: pytest.Mo
     gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     assert press.approach / MM == pytest.approx([0.0, 0.6, 1.2])
-    assert press.info["steps_halved"] == fails
+    assert press.report.steps_halved == fails
     assert steps == ([0.25, 0.125, 0.125, 0.25, 0.1, 0.5, 0.1] if fails else [0.25, 0.25, 0.1, 0.5, 0.1])
 
 
@@ -162,8 +162,42 @@ def test_a_press_says_what_it_ended_at(
     gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     assert press.status is SolveStatus.CONVERGED
-    assert press.info["ended_by"] == end
+    assert press.report.ended_by == end
     assert press.lost == (end is PressEnd.LOST)
+
+
+@pytest.mark.parametrize(("falls_to", "lost_beyond_mm"), [(0.5, 1.0), (0.99, 0.4)])
+@pytest.mark.parametrize("shear", [0.0, 0.1])
+def test_a_press_to_a_force_ends_where_the_object_gives_way(
+    monkeypatch: pytest.MonkeyPatch, falls_to: float, lost_beyond_mm: float, shear: float
+) -> None:
+    """From 0.3 mm on it bears half of the most that it bore; or a little less, until no equilibrium is found."""
+    attempt, force = quasistatic._March._attempt, PressProblem.contact_force  # pyright: ignore[reportPrivateUsage]
+    at, most = [0.0], [0.0]
+
+    def ends(march, here, new, approach):  # type: ignore[no-untyped-def]
+        at[0] = approach / MM
+        return approach / MM <= lost_beyond_mm and (yield from attempt(march, here, new, approach))
+
+    def gives_way(problem: PressProblem) -> Array:
+        found = force(problem)
+        if at[0] > 0.3 + 1e-9:
+            found[2] = -falls_to * most[0]
+        most[0] = max(most[0], -float(found[2]))
+        return found
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(PressProblem, "contact_force", gives_way)
+    monkeypatch.setattr(quasistatic, "furthest_approach", lambda scene: 0.6 * MM)
+    monkeypatch.setattr(quasistatic, "FIRST_STEP", 0.1e-3)
+    monkeypatch.setattr(quasistatic, "LONGEST_STEP", 0.1e-3)
+    scene = ball_scene(0.6, 3, radius_mm=5.0, friction=0.5, shear_mm=(shear, 0.0))
+    scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=100.0))
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert press.report.ended_by is PressEnd.GAVE_WAY and press.status is SolveStatus.CONVERGED and not press.lost
+    assert len(press.approach) == 3 and press.approach[-1] == pytest.approx(0.3 * MM) and press.approach[1] == pytest.approx(0.15 * MM)
+    assert f"{-press.force[-1, 2]:.3g} N is the most that the object bears" in press.report.warnings[-1]
 
 
 def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +223,7 @@ def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.
 
     monkeypatch.setattr(Newton, "solve", astray)
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
-    assert lost[0] == 3 and press.info["steps_halved"] == 0
+    assert lost[0] == 3 and press.report.steps_halved == 0
     assert press.force == pytest.approx(expected.force, rel=1e-9, abs=1e-9)
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, rel=1e-9, abs=1e-15)
 
@@ -218,7 +252,7 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
     problem = problem_of(scene, gel, rigid_body(scene, gel))
     problem.held = 1.0
     press = run_press(problem)
-    assert starts == [False, True, False, True, False] and press.info["steps_halved"] == 0
+    assert starts == [False, True, False, True, False] and press.report.steps_halved == 0
     # Multipliers that were not extrapolated leave another overlap, below LEAVES_MM of the 0.2 mm of the first state; the force goes as
     # the depth to the power of 1.5.
     assert press.force == pytest.approx(expected.force, rel=1.5 * LEAVES_MM / 0.2, abs=1e-6)
@@ -236,7 +270,7 @@ def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
         problem.most_wasted = most
         press = run_press(problem, throw=False)
         assert press.status is SolveStatus.MAX_ITERATIONS
-        halved.append(press.info["steps_halved"])
+        halved.append(press.report.steps_halved)
     shortest = quasistatic.SMALLEST_STEP * 0.3e-3
     smallest = 1 + int(np.log2(quasistatic.FIRST_STEP / shortest))
     assert halved == [3, smallest], "three iterations each: the third step is one too many of seven"
@@ -266,7 +300,7 @@ def test_of_two_tries_the_better_is_kept() -> None:
     press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
 
     def ended(by: PressEnd, status: SolveStatus, travel: float) -> Deformation:
-        return replace(press, status=status, approach=press.approach * travel, info={"ended_by": by})
+        return replace(press, status=status, approach=press.approach * travel, report=SolveReport(ended_by=by))
 
     failed = ended(PressEnd.LOST, SolveStatus.MAX_ITERATIONS, 3.0)
     near, far = (ended(PressEnd.LOST, SolveStatus.CONVERGED, travel) for travel in (1.0, 2.0))
@@ -323,8 +357,7 @@ def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> Non
     forgotten = alone.force[1, 0] / -alone.force[2, 2]
     assert alone.force[1, 0] > 0.2 * alone.force[-1, 0] and forgotten > 0.03
     assert off.max() < forgotten / 5
-    energy = whole.info["energy"]
-    assert isinstance(energy, dict) and abs(energy["drift"]) < 0.01  # found: 0.001
+    assert whole.report.energy is not None and abs(whole.report.energy.drift) < 0.01  # found: 0.001
 
 
 @pytest.mark.parametrize("batched", [False, True])
@@ -333,9 +366,9 @@ def test_energy_that_stiffer_tets_hold_is_told_apart(batched: bool) -> None:
     platen's, and no drift."""
     # In steps of 0.2 mm work and friction's loss are off by 0.002 to 0.003 themselves, by the mesh that is drawn; of 0.1 mm by 0.0004.
     _, whole = goes_on(made_sticky(frames=9), made_sticky(held=20.0, frames=9), 0.61, batched)
-    energy = whole.info["energy"]
-    assert isinstance(energy, dict) and energy["changed_j"] > 0.01 * energy["work_j"]  # found: 0.017
-    assert abs(energy["drift"]) < 0.003  # found: 0.001; as part of what is stored it made it -0.017
+    energy = whole.report.energy
+    assert energy is not None and energy.changed_j > 0.01 * energy.work_j  # found: 0.017
+    assert abs(energy.drift) < 0.003  # found: 0.001; as part of what is stored it made it -0.017
 
 
 def test_a_step_that_jumps_to_another_branch_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -347,7 +380,7 @@ def test_a_step_that_jumps_to_another_branch_is_told(monkeypatch: pytest.MonkeyP
             "press": {"depth_mm": 0.5, "force_n": "none", "frames": 6, "symmetry": "mirror"}, "contact": {"friction_coefficient": 0.0},
         })  # fmt: skip
         press = run_press(PressProblem(scene, *stages.bodies(scene), press_materials(scene), "cpu"))
-        return [text for text in press.info.get("warnings", []) if "another branch" in text]  # type: ignore[attr-defined]
+        return [text for text in press.report.warnings if "another branch" in text]
 
     assert not told()
     step = EnergyBalance.step
@@ -367,7 +400,7 @@ def test_a_search_for_a_force_records_its_own_way() -> None:
     gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
     to_force = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.02))
     found = run_press(problem_of(to_force, gel, rigid_body(to_force, gel)))
-    assert found.info["ended_by"] == PressEnd.FORCE and len(found.approach) == 4
+    assert found.report.ended_by == PressEnd.FORCE and len(found.approach) == 4
     assert -found.force[-1, 2] == pytest.approx(0.02, rel=quasistatic.FORCE_TOLERANCE)
     depth = found.approach[-1] / MM
     to_depth = scene.replace(press=replace(scene.press, depth_mm=depth, force_n=None))
@@ -395,9 +428,9 @@ def test_a_lost_press_gets_another_mesh(
 ) -> None:
     """The mesh that the report tells of is that of the press that is kept; planted: the first press is lost."""
     made = {
-        "lost near": replace(deformation, approach=deformation.approach * 0.5, info={"ended_by": PressEnd.LOST}),
-        "lost far": replace(deformation, info={"ended_by": PressEnd.LOST}),
-        "there": replace(deformation, info={"ended_by": PressEnd.DEPTH}),
+        "lost near": replace(deformation, approach=deformation.approach * 0.5, report=SolveReport(ended_by=PressEnd.LOST)),
+        "lost far": replace(deformation, report=SolveReport(ended_by=PressEnd.LOST)),
+        "there": replace(deformation, report=SolveReport(ended_by=PressEnd.DEPTH)),
     }
     asked: list[int] = []
 
@@ -413,9 +446,9 @@ def test_a_lost_press_gets_another_mesh(
     record, scene = stages.Record(), build_scene({"press": {"depth_mm": 0.5, "symmetry": "mirror"}})
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
     press = stages.press(scene, record=record, enough=enough)
-    assert press is made[kept] and asked == meshed
+    assert press.approach is made[kept].approach and press.report.ended_by is made[kept].report.ended_by and asked == meshed
     assert record.meshes["object"]["elements"] == ends.index(kept)
-    said = str(press.info.get("warnings"))
+    said = " ".join(press.report.warnings)
     assert ("drawn anew" in said) is (ends.index(kept) > 0) and ("could not be given another" in said) is ("no mesh" in ends)
     asked.clear()
     stages.press(scene.replace(object=replace(scene.object, rigid=True)))
@@ -446,7 +479,7 @@ def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pyt
 def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float | None, deformation: Deformation) -> None:
     """Its tries that go on it has: one, and then one from rest, if it had to."""
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
-    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
+    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
     tries, made = strategy.tries(scene, enough), []
     way, course = next(tries)
@@ -455,13 +488,13 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
             made.append(way.goes_on)
             course.before = course.before or SimpleNamespace(approach=0.0)  # type: ignore[assignment]
             way, course = tries.send(lost)
-    assert end.value.value is lost
+    assert end.value.value.lost
     assert made == [False, True] + ([] if enough_mm == 0.3 else [False])
 
 
 def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(deformation: Deformation) -> None:
-    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, info={"ended_by": PressEnd.LOST})
-    there = replace(deformation, info={"ended_by": PressEnd.FORCE})
+    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
+    there = replace(deformation, report=SolveReport(ended_by=PressEnd.FORCE))
     scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
     tries = strategy.tries(scene, lambda _: True)
     _, course = next(tries)
@@ -473,7 +506,7 @@ def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(d
     assert not way.goes_on, "all begin again to record the way"
     with pytest.raises(StopIteration) as end:
         tries.send(there)
-    assert end.value.value is there
+    assert end.value.value.report.ended_by is PressEnd.FORCE
 
 
 def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from gelsim.cli.flags import Parser, add_scene_flags, layer_of
 from gelsim.errors import SceneError, SolveError, SolveStatus
 from gelsim.pipeline import fidelity, stages
 from gelsim.pipeline.fidelity import Target, press_to_target
-from gelsim.results import Deformation
+from gelsim.results import Deformation, ErrorEstimate, SolveReport
 from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
 from gelsim.scene.layers import build_scene, scene_table
 
@@ -29,9 +29,9 @@ def solver(deformation: Deformation, monkeypatch: pytest.MonkeyPatch) -> Callabl
             solve.asked.append(name)  # type: ignore[attr-defined]
             if name == fail:
                 raise SolveError("stuck")
-            estimate = {"force": own[name], "membrane_um": (membrane or dict.fromkeys(own, 1.0))[name]}
-            info = {"error_estimate": estimate, "stress_jump": own[name] / 0.8}
-            return replace(deformation, force=deformation.force * (1 + (true or own)[name]), info=info)
+            estimate = ErrorEstimate(own[name], (membrane or dict.fromkeys(own, 1.0))[name])
+            report = SolveReport(error_estimate=estimate, stress_jump=own[name] / 0.8)
+            return replace(deformation, force=deformation.force * (1 + (true or own)[name]), report=report)
 
         solve.asked = []  # type: ignore[attr-defined]
         return solve
@@ -61,7 +61,8 @@ def test_cheapest_that_meets_it(target: Target, asked: list[str], met: bool, sol
     chosen = press_to_target(target, solve)
     assert (solve.asked, chosen.met) == (asked, met)
     assert chosen.fidelity == asked[-1] and [row["fidelity"] for row in chosen.tried] == asked
-    assert target.allows(*chosen.press.info["error_estimate"].values()) == met  # type: ignore[attr-defined]
+    told = chosen.press.report.error_estimate
+    assert told is not None and target.allows(told.force, told.membrane_um) == met
 
 
 def test_a_profile_is_predicted_by_profiles(solver) -> None:  # type: ignore[no-untyped-def]
@@ -82,7 +83,8 @@ def test_a_wrong_prediction_is_seen(solver) -> None:  # type: ignore[no-untyped-
 def test_two_meshes_that_agree_by_chance(solver) -> None:  # type: ignore[no-untyped-def]
     solve = solver(OWN, {"fast": 0.01, "balanced": 0.01, "reference": 0.0})
     chosen = press_to_target(Target(0.02), solve)
-    assert chosen.press.info["error_estimate"]["force"] == pytest.approx(fidelity.LEAST * 0.04)  # type: ignore[index]
+    told = chosen.press.report.error_estimate
+    assert told is not None and told.force == pytest.approx(fidelity.LEAST * 0.04)
 
 
 def test_a_finer_press_that_fails_leaves_the_coarser(solver) -> None:  # type: ignore[no-untyped-def]
@@ -128,7 +130,8 @@ def test_a_press_meets_its_target() -> None:
     assert press.status is SolveStatus.CONVERGED and not record.warnings
     choice = record.choices["fidelity"]
     assert choice["chosen"] == "balanced" and [row["fidelity"] for row in choice["tried"]] == ["balanced"]
-    estimate = press.info["error_estimate"]["force"]  # type: ignore[index]
+    assert press.report.error_estimate is not None
+    estimate = press.report.error_estimate.force
     # the truth: 0.81197 N of assets/reference/ball_force.csv; its error of 0.1 % is too
     true = abs(-press.force[-1, 2] / 0.81197 - 1)
     assert true <= estimate + 1e-3 and estimate <= 0.02

@@ -326,7 +326,7 @@ def test_a_full_disk_ends_the_work_with_its_name(tmp_path: Path, monkeypatch: py
         raise DatasetError(f"{tmp_path}: cannot be written (No space left on device)")
 
     monkeypatch.setattr("gelsim.generate.run.Studio", Studio)
-    monkeypatch.setattr(recording, "solve", lambda press, device: recording.Solved(None, {}, None))  # type: ignore[arg-type]
+    monkeypatch.setattr(recording, "solve", lambda press, device: recording.Solved(None, {}))  # type: ignore[arg-type]
     monkeypatch.setattr(recording, "record", full)
     done = make_worker(TINY, 0, tmp_path, {0: [0, 1]}, "cpu")((0,))
     assert done.error is not None and "No space left on device" in done.error and not done.rows

@@ -52,7 +52,8 @@ def test_the_object_goes_the_same_way(pair: tuple[gelsim.Deformation, gelsim.Def
 def test_forces_are_within_what_is_expected(pair: tuple[gelsim.Deformation, gelsim.Deformation]) -> None:
     live, solved = pair
     expected, _ = expected_error(build_scene(BASE, PATH), 0.6)
-    own = solved.info["error_estimate"]["force"]  # type: ignore[index]
+    assert solved.report.error_estimate is not None
+    own = solved.report.error_estimate.force
     np.testing.assert_allclose(live.force[1:4, 2], solved.force[1:4, 2], rtol=expected + own)
     assert np.linalg.norm(live.force[-1]) == 0.0
     assert np.abs(live.gel.displacement[-1]).max() < 1e-15  # millimetres and back
@@ -67,7 +68,8 @@ def test_the_gel_is_where_finite_elements_have_it(pair: tuple[gelsim.Deformation
     for one in pair:
         nodes, shares = surface_shares(one.gel.rest, one.gel.faces6, points[np.hypot(*points.T) < radius])
         heights.append((one.gel.displacement[1][nodes, 2] * shares).sum(axis=1))
-    bound = expected_error(build_scene(BASE, PATH), 0.6)[1] + solved.info["error_estimate"]["membrane_um"]  # type: ignore[index]
+    assert solved.report.error_estimate is not None
+    bound = expected_error(build_scene(BASE, PATH), 0.6)[1] + solved.report.error_estimate.membrane_um
     assert 1e6 * np.sqrt(np.mean((heights[0] - heights[1]) ** 2)) < bound
 
 
@@ -83,10 +85,10 @@ def test_the_gel_is_where_finite_elements_have_it(pair: tuple[gelsim.Deformation
 )
 def test_it_ends_at_force_or_depth(press: Layer, end: PressEnd) -> None:
     found = gelsim.press(build_scene(BASE, {"press": {"frames": 3} | press}))
-    assert found.info["ended_by"] == end
+    assert found.report.ended_by == end
     if end is PressEnd.FORCE:
         assert -found.force[-1, 2] == pytest.approx(0.4, rel=2 * FORCE_TOLERANCE)
-    assert ("warnings" in found.info) == (end is PressEnd.LIMIT)
+    assert bool(found.report.warnings) == (end is PressEnd.LIMIT)
 
 
 def test_a_path_of_forces() -> None:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gelsim.errors import SceneError
+from gelsim.errors import PressEnd, SceneError
 from gelsim.pipeline import outputs, sheet
-from gelsim.results import Deformation, Frame, SurfaceMotion
+from gelsim.results import Deformation, EnergyReport, ErrorEstimate, Frame, SolveReport, SurfaceMotion
 from gelsim.scene.definition import Scene
 
 
@@ -56,10 +56,23 @@ def test_an_account_is_read_as_one_or_not_at_all(tmp_path: Path, deformation: De
     assert outputs.read_account(path) == told
     outputs.write_press(path, Scene(), deformation)
     assert outputs.read_account(path) == {}
-    for damaged in ({"meshes": [1]}, {"warnings": "thin"}, {"info": None}, {"mesh_sha256": 3}):
+    for damaged in ({"meshes": [1]}, {"warnings": "thin"}, {"info": None}, {"info": {"energy": [1]}}, {"mesh_sha256": 3}):
         outputs.write_press(path, Scene(), deformation, damaged)
         with pytest.raises(SceneError, match="is not a press.npz"):
             outputs.read_account(path)
+
+
+def test_a_solve_report_is_the_same_after_it_was_written(tmp_path: Path, deformation: Deformation) -> None:
+    """What is not known, and warnings that there are none, are left out; an empty symmetry is known."""
+    whole = SolveReport(
+        ended_by=PressEnd.LOST, tried=2, went_on_from_mm=(0.5,), friction_coefficient="stick", symmetry=("x", "y"), rigid_object=False,
+        unknowns=7, energy=EnergyReport(work_j=1e-3, drift=0.01), error_estimate=ErrorEstimate(0.02, 3.0), warnings=("thin",),
+    )  # fmt: skip
+    for report in (whole, SolveReport(symmetry=()), SolveReport(symmetry="axisymmetric", steps_halved=0)):
+        outputs.write_press(tmp_path / "press.npz", Scene(), deformation, {"info": report.table()})
+        assert outputs.solve_report(outputs.read_account(tmp_path / "press.npz")) == report
+    assert SolveReport(symmetry=()).table() == {"symmetry": []} and whole.table()["energy"]["work_j"] == 1e-3
+    assert SolveReport.from_table({"tried": 2, "of_another_version": 1}) == SolveReport(tried=2)
 
 
 def test_sampling_is_exact_at_nodes_and_for_quadratic_fields(sheet_motion: SurfaceMotion, rng: np.random.Generator) -> None:

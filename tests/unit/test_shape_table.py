@@ -155,7 +155,7 @@ def test_a_shape_added_by_the_recipe_is_pressed_and_recorded(added: Shape, monke
     scene = drawn.scene.replace(press=Press(depth_mm=0.1, frames=2))
 
     def warnings(press: Deformation) -> list[str]:
-        return [text for text in press.info.get("warnings", []) if "comes to touch itself" in text]  # type: ignore[attr-defined]
+        return [text for text in press.report.warnings if "comes to touch itself" in text]
 
     solved = stages.press(scene, device="cpu")
     row = record(catalogue, drawn, 0, Motion.of_press(solved), None).episode.row

@@ -56,6 +56,7 @@ class EdgeContact(SurfaceContact):
 
         self.weight = array(self.rest_weight, wp.float64)
         self.face = array(np.full(count, -1), wp.int32)
+        self.tied = wp.zeros(count, dtype=wp.int32, device="cpu")
         self.place = wp.zeros(count, dtype=wp.vec3d, device="cpu")
         self.normal = wp.zeros(count, dtype=wp.vec3d, device="cpu")
         self.gap = array(np.full(count, 1e9), wp.float64)
@@ -159,7 +160,7 @@ class EdgeContact(SurfaceContact):
         return trial - (trial * normal).sum(1, keepdims=True) * normal, nodes, share
 
     def _held(self) -> NDArray[np.int64]:
-        return np.flatnonzero((self.pressure.numpy() > 0) & (self.anchor_face.numpy() >= 0))
+        return np.flatnonzero(((self.pressure.numpy() > 0) | (self.tied.numpy() > 0)) & (self.anchor_face.numpy() >= 0))
 
     def add_force(self, x: wp.array, force: wp.array) -> None:
         total, pressure = force.numpy(), self._penalty()[0]

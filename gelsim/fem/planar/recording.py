@@ -72,7 +72,7 @@ class PlanarRecorder(Recorder):
         share = np.where(np.abs(up[2:-1:2]) > MOVING * np.abs(up).max(), share, 0.0)
         return float(np.sqrt((share * across**2).sum() / max(share.sum(), 1e-300)))
 
-    def _symmetry(self) -> object:
+    def _symmetry(self) -> str:
         return "axisymmetric" if self.problem.turned else "plane-strain"
 
     def _surfaces(self, everything: Array) -> tuple[SurfaceMotion, SurfaceMotion, Array]:
