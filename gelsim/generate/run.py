@@ -96,9 +96,7 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
     wanted = {
         number: [end for end in range(ends) if number * ends + end < episodes]
         for number in range(-(-episodes // ends))
-        if number * ends < all_of
-        or (most := within[catalogue.press(number).split in SPLITS_LEARNT]) is None
-        or number * ends < most
+        if number * ends < all_of or (most := within[catalogue.press(number).split in SPLITS_LEARNT]) is None or number * ends < most
     }
     asked = {number * ends + end for number, of_press in wanted.items() for end in of_press}
     todo = {
