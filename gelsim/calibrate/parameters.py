@@ -229,7 +229,7 @@ def dome_of(gel: Gel, curvature: float) -> Gel:
 
 def curvature_of(gel: Gel) -> float:
     """1/R_d [1/mm] of a gel's dome, 0 of a flat one."""
-    if gel.profile not in ("flat", "dome", "sphere"):
+    if not gel.turned:
         raise SceneError(f'gel.profile = "{gel.profile}": calibration takes gels of one curvature, "flat", "dome" or "sphere"')
     drop, half = gel.thickness_mm - gel.edge_mm, gel.half_width_mm
     return 2 * drop / (half**2 + drop**2)

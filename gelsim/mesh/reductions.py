@@ -98,7 +98,7 @@ def _against(scene: Scene, kind: str) -> str:
     if body.shape not in shapes:
         return f"object.shape = {body.shape!r} is none of {', '.join(shapes)}"
     if kind == "axisymmetric":
-        if gel.profile in ("cylinder", "mesh"):
+        if not gel.turned:
             return f"gel.profile = {gel.profile!r} is not turned about its axis"
         if any(press.offset_mm) and gel.profile != "flat":
             return f"press.offset_mm = [{press.offset_mm[0]:g}, {press.offset_mm[1]:g}] mm on a gel that is not flat"

@@ -68,6 +68,11 @@ class Gel:
         _default_hardness(self, 17.0)
 
     @property
+    def turned(self) -> bool:
+        """Whether its outer face is one of revolution about z."""
+        return self.profile in ("flat", "dome", "sphere")
+
+    @property
     def half_width_mm(self) -> float:
         """From the middle to where the thickness is `edge_mm`: to a short side, of a cylinder to one along its axis."""
         return (self.size_mm[0] if self.profile == "cylinder" else max(self.size_mm)) / 2
