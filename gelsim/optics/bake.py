@@ -175,7 +175,7 @@ def _measure_local(scene: Scene, tick: Callable[[], None]) -> LightField:
     from threadpoolctl import threadpool_limits
 
     places = _seen_places(scene)
-    x, y = (np.linspace(*ends, count) for ends, count in zip(places, PLACES, strict=True))
+    x, y = (np.linspace(low, high, count) for (low, high), count in zip(places, PLACES, strict=True))
     points = np.stack(np.meshgrid(HEIGHTS_MM, y, x, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
     coat, size = scene.coating, (2, PLACES[1], PLACES[0], NORMALS, NORMALS)
     pigment = (1 - coat.specular) * np.clip(coat.albedo, 0, 1) / np.pi

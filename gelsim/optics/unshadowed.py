@@ -86,7 +86,7 @@ def _sources(scene: Scene, light: Light, places: NDArray, point: NDArray[np.floa
     return np.concatenate([ways, mirrored]), np.concatenate([weights, there * share * on_window])
 
 
-def _from(light: Light, way: NDArray[np.float64], facing: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+def _from(light: Light, way: NDArray[np.floating], facing: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
     """Unit directions and weights of places on a light that `way` leads to."""
     distance = np.linalg.norm(way, axis=1)
     direction = way / distance[:, None]
