@@ -1,6 +1,6 @@
 """A hand puts a peg into a hole that is up to 1 mm aside: it moves away from where its two gels feel the peg's end rest on the rim.
 
-    MUJOCO_GL=egl python docs/examples/insert_peg.py      # out/insert_peg.mp4, docs/images/gallery_insert.jpg; 7 minutes of processor time
+    MUJOCO_GL=egl python docs/examples/insert_peg.py      # out/insert_peg.mp4, docs/images/gallery_insert.jpg; 3.5 minutes on two cores
     python docs/examples/insert_peg.py --quick            # 3 offsets, no video, no OpenGL
 
 What is known to the controller is the wrench on the gels (`InsertEnv`), nothing of the hole. Blind to all of it but the push it stays
