@@ -25,7 +25,7 @@ from gelsim.data.episodes import Dataset, lit, load_dataset
 from gelsim.errors import DatasetError, GelsimError
 from gelsim.files import whole_file
 from gelsim.results import Episode
-from gelsim.work.workers import Handful, LocalCrew, work_through
+from gelsim.work.workers import SECONDS, Handful, LocalCrew, work_through
 from learn.config import InputConfig
 from learn.features import NAMES, press_features
 from learn.frames import FIXED_POINT, averaged_pixels, change_signal, fit_picture, levels_of
@@ -262,8 +262,8 @@ def _fill(home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[i
     else:
         # Fresh processes of one core each: they load neither torch nor what this one has in memory.
         arguments = (dataset.folder, inputs, target, light)
-        crew, limit = LocalCrew(reading.workers, gpus=gpus), {"still": True, "seconds": DRAWING_SECONDS} if gpus else {}
-        for handful, part in work_through(left, crew, _make_worker, arguments, _lost, **limit):
+        crew, seconds = LocalCrew(reading.workers, gpus=gpus), DRAWING_SECONDS if gpus else SECONDS
+        for handful, part in work_through(left, crew, _make_worker, arguments, _lost, still=bool(gpus), seconds=seconds):
             if isinstance(part, str):
                 raise DatasetError(part)
             told(handful, part)

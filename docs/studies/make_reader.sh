@@ -37,8 +37,8 @@ export -f field
 presses tests paper2017 "$test_seed" "${TESTS:-1400}" 18 --train-episodes &
 presses varied varied "$seed" "$most" 34 --test-episodes &
 presses families families "$seed" "$most" 48 --test-episodes &
-[ "$gpus" = 0 ] || for pool in "varied $seed 20" "families $seed 32" "paper2017 $test_seed 20"; do  # a trial measures those it needs, later
-    read -r plan pool_seed count <<<"$pool"; seq 0 $(( count - 1 )) | sed "s/^/$plan $pool_seed /"
+[ "$gpus" = 0 ] || for pool in "varied $seed" "families $seed" "paper2017 $test_seed"; do  # a trial measures those it needs, later
+    python3 -c "from gelsim.generate.plan import load_plan; print(*range(load_plan('${pool% *}').sensors), sep='\n')" | sed "s/^/$pool /"
 done | log fields xargs -P "$lights" -L 1 bash -c 'field "$@"' _ &
 wait
 for name in families varied tests; do say "$name: $(wc -l <"$data/$name/meta/episodes.jsonl") episodes"; done

@@ -57,6 +57,7 @@ from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
 from gelsim.fem.field import DistanceField
 from gelsim.fem.pattern import PairPattern
 from gelsim.geometry import split_faces
+from gelsim.scene.definition import Contact
 
 Array = NDArray[np.float64]
 
@@ -125,6 +126,11 @@ class ContactLaw:
     """μ; 0 for none, -1 for sticking."""
     stick_stiffness: float
     """k_t·h [kPa], likewise."""
+
+    @staticmethod
+    def coefficient(contact: Contact) -> float:
+        """μ of a scene's contact, as `friction` has it."""
+        return -1.0 if contact.friction_coefficient == "stick" else float(contact.friction_coefficient)
 
     def slip_bound(self, pressure: Array) -> Array:
         """Tractions [kPa] that friction bears at pressures [kPa], as `contact_kernels.slip_bound`; inf where nothing slides."""

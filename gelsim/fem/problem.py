@@ -123,8 +123,7 @@ class PressProblem:
         if any(material.prony for _, several, _ in meshes for material in several):
             self.memory = self.solids.remember(*prony_arrays([material.prony for material in of_tets]))
         stiffness = PENALTY_PER_MODULUS * softest
-        mu = scene.contact.friction_coefficient
-        friction = -1.0 if mu == "stick" else float(mu)
+        friction = ContactLaw.coefficient(scene.contact)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM[scene.fidelity], friction, STICK_PER_MODULUS * softest)
         coated = gel.groups["coated"]
         if isinstance(body, TetMesh):

@@ -95,7 +95,7 @@ def _height(gel: Gel, stamp: tuple[int, ...]) -> Height:
         x, y, _ = upper[order][:-1][steps][0] / MM
         raise SceneError(f"{named}: its coated side has an upright step at {x:.3g} {y:.3g} mm; allowed: a surface without steps")
     x, y = (np.linspace(-side / 2, side / 2, int(np.ceil(side / STEP)) + 1) for side in size)
-    table = _heights(x, y, vertices[faces[above]], _gradients(faces[above], corners[above]))
+    table = _heights(x, y, corners[above], normals[above], _gradients(faces[above], corners[above], normals[above]))
     if np.isnan(table).any():
         raise SceneError(
             f"{named}: nothing of it is above {100 * np.isnan(table).mean():.3g} % of its bonded face; allowed: a pad without holes"
@@ -116,12 +116,11 @@ def _height(gel: Gel, stamp: tuple[int, ...]) -> Height:
     return lambda xy: spline.ev(xy[:, 0], xy[:, 1])
 
 
-def _gradients(faces: NDArray[np.int64], corners: Array) -> Array:
+def _gradients(faces: NDArray[np.int64], corners: Array, normals: Array) -> Array:
     """Of the smooth surface at the corners (F, 3, 3) of its triangles, (F, 3, 2): means over the faces that meet there without a crease."""
     from scipy.sparse import coo_array
 
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     cosine = (ahead * back).sum(axis=-1) / (np.linalg.norm(ahead, axis=-1) * np.linalg.norm(back, axis=-1))
     angle = np.arccos(np.clip(cosine, -1, 1)).ravel()
@@ -134,10 +133,10 @@ def _gradients(faces: NDArray[np.int64], corners: Array) -> Array:
     return np.stack([sums[0] / sums[2], sums[1] / sums[2]], axis=-1).reshape(*faces.shape, 2)
 
 
-def _heights(x: Array, y: Array, corners: Array, gradients: Array) -> Array:
+def _heights(x: Array, y: Array, corners: Array, normals: Array, gradients: Array) -> Array:
     """z at the nodes of a grid, (X, Y), of triangles (F, 3, 3) with gradients (F, 3, 2) at their corners; NaN where there is none."""
     table = np.full((len(x), len(y)), np.nan)
-    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    turned = normals[:, 2]
     low, high = corners[..., :2].min(axis=1) - _EDGE, corners[..., :2].max(axis=1) + _EDGE
     first = np.stack([np.searchsorted(x, low[:, 0]), np.searchsorted(y, low[:, 1])], axis=1)
     last = np.stack([np.searchsorted(x, high[:, 0]), np.searchsorted(y, high[:, 1])], axis=1)

@@ -78,8 +78,7 @@ class PlanarProblem(PressProblem):
         self.memory = None
         self.shear = each([material.mu * KPA_PER_PA for _, material, _ in meshes])
         softest = min(material.youngs_modulus for _, material, _ in meshes) * KPA_PER_PA
-        mu = scene.contact.friction_coefficient
-        friction = -1.0 if mu == "stick" else float(mu)
+        friction = ContactLaw.coefficient(scene.contact)
         self.law = ContactLaw(PENALTY_PER_MODULUS * softest, SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         edges = (body.groups["contact"] + n).astype(np.int32)
         self.contact = EdgeContact(gel.groups["coated"], edges, rest, self.law, self.turned)
