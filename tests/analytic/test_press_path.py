@@ -13,7 +13,7 @@ import gelsim
 from gelsim.bench import closed_forms, motion
 from gelsim.bench.section import Known
 from gelsim.errors import PressEnd, SceneError, SolveStatus
-from gelsim.fem import problem, quasistatic
+from gelsim.fem import quasistatic
 from gelsim.fem.contact import ContactLaw
 from gelsim.fem.quasistatic import FORCE_TOLERANCE
 from gelsim.results import Deformation
@@ -41,7 +41,7 @@ def test_motion_is_as_theory_says(known: Known) -> None:
 
 def test_another_bound_of_friction_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: points slide at a tenth more than μ p."""
-    monkeypatch.setattr(problem, "ContactLaw", lambda k, smoothing, mu, stick: ContactLaw(k, smoothing, 1.1 * mu, stick))
+    monkeypatch.setattr(ContactLaw, "coefficient", staticmethod(lambda contact: 1.1 * contact.friction_coefficient))
     share, found, theory = motion.partial_slip(motion.slid.__wrapped__())
     ratio = np.abs(found / theory - 1)
     assert (ratio[share < 1.0] > 0.05).any() and (ratio[share > motion.FULL_SLIP] > 0.01).all()
