@@ -2,8 +2,8 @@
 
     m = mean of mᵢ,     s² = mean of sᵢ² + mean of (mᵢ − m)²,     d = least of dᵢ
 
-mᵢ is what network i says, sᵢ its spread times its own factor, dᵢ its novelty over its own threshold: what one of them knows is not strange,
-a gel neither.
+mᵢ is what network i says, sᵢ its spread times its own factor, dᵢ its `Novelty.strangeness`: what one of them knows is not
+strange, a gel neither.
 Networks that were trained on different presses err differently, so m errs less than they do, and where they disagree s says it. Left out:
 weights by spread, which on test presses gave 7.7 for 7.8 and a spread that is less honest, and a factor of the whole, which would need a
 split that none trained on.
@@ -35,7 +35,7 @@ class Reading:
     spread: NDArray[np.float64]
     """Standard deviation [Shore 00], shape (B,); NaN where a network knows none."""
     novelty: NDArray[np.float64]
-    """Distance from the training over the threshold, shape (B,): above 1 the press is unlike it; NaN where none was fitted."""
+    """`Novelty.strangeness`, shape (B,): above 1 the press is unlike the training; NaN where none was fitted."""
 
 
 class Ensemble:
@@ -82,7 +82,7 @@ def _distance(novelty: Novelty | None, statistics: torch.Tensor) -> NDArray[np.f
     """dᵢ; of statistics that are not finite, infinite: nothing like them was trained on."""
     if novelty is None:
         return np.full(len(statistics), np.nan)
-    return np.nan_to_num(novelty.distance(statistics).numpy() / novelty.threshold, nan=np.inf, posinf=np.inf)
+    return np.nan_to_num(novelty.strangeness(statistics).numpy(), nan=np.inf, posinf=np.inf)
 
 
 def _mixed(means: Sequence[NDArray], spreads: Sequence[NDArray], novelties: Sequence[NDArray]) -> Reading:

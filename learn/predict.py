@@ -17,11 +17,14 @@ from learn.config import LearnError
 from learn.data import HARDEST, Gel, choose, gel_of
 from learn.ensemble import Ensemble
 from learn.estimate import pick_device
-from learn.framing import Framing
+from learn.framing import FIELD_MM, Framing
 from learn.video import AS_IT_IS, Source, sources
 
 SHIPPED = {"default": ("paper2017", "varied")}
 """Names that stand for several of the checkpoints in assets/models/, which read together."""
+
+GEL_UNTOLD = "the gel is not known (--sensor tells it)"
+SCALE_UNTOLD = f"the scale is not known (--mm-per-px tells it): taken for {FIELD_MM[0]:g} mm wide"
 
 CERTAIN = 1.645
 """Standard deviations that hold 90 % of a normal distribution."""
@@ -88,7 +91,7 @@ def predict(
         sensor: Whose gel it is (`gel_of_sensor`); None: what a press itself says of it, if anything.
     Yields:
         source, status ("ok", "no contact" or "unreadable"), note; when ok also shore_00, spread (None: the network knows none), frames,
-        novelty (distance over the threshold; None: not fitted), unlike_training (by that or by the gel), true (None: unknown).
+        novelty (distance over the greatest that is usual; None: not fitted), unlike_training (by that or by the gel), true (None: unknown).
     Raises:
         LearnError, SceneError: The checkpoint or the sensor cannot be used, or the network takes no gel.
     """
@@ -117,6 +120,7 @@ def predict(
             said = ensemble.read([press])
             mean, spread, distance = (float(part[0]) for part in (said.mean, said.spread, said.novelty))
             strange, odd_gel = distance > 1, ensemble.strange_gel(press.gel)
+            untold = {GEL_UNTOLD: ensemble.asks_gel and not np.isfinite(press.gel).all(), SCALE_UNTOLD: not press.scaled}
             yield {
                 "source": source.name,
                 "status": "ok",
@@ -126,7 +130,9 @@ def predict(
                 "novelty": distance if np.isfinite(distance) else None,
                 "unlike_training": strange or bool(odd_gel),
                 "true": source.true,
-                "note": _note(source, mean, distance if strange else None, odd_gel, ensemble.asks_gel and not np.isfinite(press.gel).all()),
+                "note": _note(
+                    source, mean, distance if strange else None, [*odd_gel, *(words for words, is_so in untold.items() if is_so)]
+                ),
             }
 
 
@@ -142,18 +148,13 @@ def _listed(video: Path, *options: Any) -> Iterator[tuple[str, Callable[[], Sour
         yield str(video), refuse
 
 
-def _note(source: Source, mean: float, distance: float | None, odd_gel: list[str], untold: bool) -> str:
+def _note(source: Source, mean: float, distance: float | None, more: list[str]) -> str:
     notes = [source.note] if source.note else []
     if distance is not None:
-        notes.append(
-            f"unlike anything it was trained on ({distance:.2g} times as far off as 99 % of its validation presses): do not trust this"
-        )
-    notes += odd_gel
+        notes.append(f"unlike anything it was trained on ({distance:.2g} times as far off as a press may be): do not trust this")
     if mean > HARDEST:
         notes.append(f"harder than any silicone it was trained on ({HARDEST:g})")
-    if untold:
-        notes.append("the gel is not known (--sensor tells it)")
-    return "; ".join(notes)
+    return "; ".join(notes + more)
 
 
 def read_identified(path: Path) -> tuple[float, float]:

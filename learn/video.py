@@ -10,7 +10,7 @@ import contextlib
 import re
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -23,7 +23,7 @@ from gelsim.errors import GelsimError
 from gelsim.scene.layers import load_scene
 from learn.config import InputConfig, LearnError
 from learn.data import UNKNOWN_GEL, Gel, gel_of
-from learn.frames import as_wide, averaged, change_signal, fit_picture, levels_of
+from learn.frames import as_wide, averaged, change_signal, find_press, fit_picture, levels_of
 from learn.framing import Framing, at_scale, contact_centre, to_scale
 from learn.recordings import Recording, record_episode, with_noise
 
@@ -105,25 +105,37 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
         def whole(kept: NDArray[np.uint8]) -> NDArray[np.uint16]:
             return fit_picture(kept, picture) if scale is None else averaged(as_wide(kept, picture), picture)
 
-        recording = _seen(path, chain(first, opened), inputs, background, framing, whole)
+        pictures = _seen(path, chain(first, opened), framing, whole)
+        given_rest = None if background is None else levels_of(whole(framing.kept(_picture(background), str(background))))
+    if len(pictures) + (background is not None) < FEWEST_FRAMES or len(pictures) == 0:
+        what = "1 frame" if len(pictures) == 1 else f"{len(pictures)} frames"
+        raise LearnError(f"{path}: {what}; a press takes at least {FEWEST_FRAMES}: the sensor untouched, then pressed")
+    try:
+        found = find_press(pictures, inputs, given_rest)
+    except LearnError as error:
+        raise LearnError(f"{path}: {error}") from None
+    rest = pictures[found.rest] if given_rest is None else given_rest
+    signal = change_signal(pictures, rest, inputs.deadband_levels)
     if scale is not None:  # where the contact is, is known once all has been read: it is read again
-        centre = contact_centre(recording.pictures, recording.background, recording.signal, inputs.deadband_levels)
+        centre = contact_centre(pictures[found.begin :], rest, signal[found.begin :], inputs.deadband_levels)
+
+        def around(kept: NDArray[np.uint8]) -> NDArray[np.uint16]:
+            return at_scale(kept, picture, scale, centre)
+
         with contextlib.closing(frames()) as opened:  # type: ignore[type-var]
-            recording = _seen(path, opened, inputs, background, framing, lambda kept: at_scale(kept, picture, scale, centre))
-        recording = replace(recording, scaled=True)
-    note = "" if framing is given else "a black border was cut off (--crop {} {} {} {})".format(*framing.crop or ())
-    return _checked(Source(str(path), recording, gel=_gel_beside(path), note=note))
+            pictures = _seen(path, opened, framing, around)
+        rest = pictures[found.rest] if background is None else levels_of(around(framing.kept(_picture(background), str(background))))
+        signal = change_signal(pictures, rest, inputs.deadband_levels)
+    recording = Recording(rest, pictures[found.begin :], signal[found.begin :], scaled=scale is not None)
+    notes = [] if framing is given else ["a black border was cut off (--crop {} {} {} {})".format(*framing.crop or ())]
+    notes += [found.note] if found.note else []
+    return _checked(Source(str(path), recording, gel=_gel_beside(path), note="; ".join(notes)))
 
 
 def _seen(
-    path: Path,
-    frames: Iterable[NDArray[np.uint8]],
-    inputs: InputConfig,
-    background: Path | None,
-    framing: Framing,
-    view: Callable[[NDArray[np.uint8]], NDArray[np.uint16]],
-) -> Recording:
-    """The press by one view of what is kept of its frames."""
+    path: Path, frames: Iterable[NDArray[np.uint8]], framing: Framing, view: Callable[[NDArray[np.uint8]], NDArray[np.uint16]]
+) -> NDArray[np.float32]:
+    """One view [levels] of what is kept of each frame, shape (N, h, w, 3)."""
     pictures = []
     for frame in frames:
         if len(pictures) == MOST_FRAMES:
@@ -131,15 +143,7 @@ def _seen(
         kept = framing.kept(frame, str(path))
         framing.check_field(kept, str(path))
         pictures.append(view(kept))
-    if len(pictures) + (background is not None) < FEWEST_FRAMES or not pictures:
-        what = "1 frame" if len(pictures) == 1 else f"{len(pictures)} frames"
-        raise LearnError(f"{path}: {what}; a press takes at least {FEWEST_FRAMES}: the sensor untouched, then pressed")
-    levels = levels_of(np.stack(pictures))
-    if background is None:
-        empty = levels[0]
-    else:
-        empty = levels_of(view(framing.kept(_picture(background), str(background))))
-    return Recording(empty, levels, change_signal(levels, empty, inputs.deadband_levels))
+    return levels_of(np.stack(pictures)) if pictures else np.empty((0, 0, 0, 3), np.float32)
 
 
 def _gel_beside(path: Path) -> Gel:

@@ -1,8 +1,9 @@
-"""Is a press read alike however its video is framed? Real videos as they are, and the same in a border, oblique, halved, cut.
+"""Is a press read alike however its video is framed? Real videos as they are, and the same in a border, oblique, halved, cut, begun late.
 
     python docs/studies/framings.py FOLDER --mm-per-px 0.058 [--sensor gelsight_mini] [--videos 24]
 
-Each framing is read as it comes, and told of: by crop, corners and scale. Prints how far the readings lie from those as it is.
+Each framing is read as it comes, and told of: by crop, corners and scale. Prints how far the readings lie from those as it is. Two are of
+another order in time: a video that begins at its largest change, lets go and then shows the press, and one that shows it twice.
 """
 
 import argparse
@@ -21,6 +22,8 @@ from learn.video import _video  # pyright: ignore[reportPrivateUsage]
 EVERY = 3  # frames: as much as the network chooses from, in a third of the time
 BORDER = (60, 80), (100, 40)  # above and below, left and right [px]
 ASIDE = Corners(np.array([[60.0, 40.0], [400.0, 70.0], [380.0, 330.0], [90.0, 310.0]]))  # corners of the picture in one of 480 x 380 px
+
+TOUCHED, TWICE = "begun in contact", "shown twice"
 
 
 def oblique(frame: np.ndarray) -> np.ndarray:
@@ -58,6 +61,8 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
         ("of half the pixels, --mm-per-px", halved, Framing(mm_per_px=2 * mm)),
         ("three quarters of it", cut, Framing()),
         ("three quarters of it, --mm-per-px", cut, Framing(mm_per_px=mm)),
+        (TOUCHED, np.asarray, Framing()),
+        (TWICE, np.asarray, Framing()),
     ]
 
 
@@ -77,9 +82,11 @@ def main() -> None:
         found = []
         kinds = framings(frames[0].shape[1::-1], options.mm_per_px)
         names = [name for name, _, _ in kinds]
-        for _, change, framing in [("as it is", np.asarray, Framing()), *kinds]:
+        peak = int(np.argmax([np.abs(frame.astype(float) - frames[0]).mean() for frame in frames]))
+        orders = {TOUCHED: frames[peak:] + frames, TWICE: frames + frames}
+        for name, change, framing in [("as it is", np.asarray, Framing()), *kinds]:
             with TemporaryDirectory() as folder:
-                for number, frame in enumerate(frames):
+                for number, frame in enumerate(orders.get(name, frames)):
                     Image.fromarray(np.ascontiguousarray(change(frame))).save(Path(folder) / f"{number:04d}.png", compress_level=1)
                 (answer,) = predict(find_models(["default"]), [Path(folder)], framing=framing, sensor=options.sensor, device="cpu")
             found.append(answer.get("shore_00", np.nan))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from learn.config import configure
-from learn.frames import FIXED_POINT, change_signal, equal_steps, fit_picture, levels_of, loading
+from learn.config import LearnError, configure
+from learn.frames import FIXED_POINT, change_signal, equal_steps, find_press, fit_picture, levels_of, loading
 
 INPUTS = configure().input
 
@@ -34,6 +34,51 @@ def test_signal_does_not_count_noise() -> None:
     background = np.full((4, 4, 3), 100.0)
     pictures = np.stack([background, background + 2.0, background + 7.0])
     assert change_signal(pictures, background, 3.0) == pytest.approx([0, 0, 4])
+
+
+def filmed(rng: np.random.Generator, strengths: list[float]) -> np.ndarray:
+    """A dotted membrane with a dent of so many levels, which is as wide as it is deep."""
+    y, x = np.mgrid[:24, :32]
+    plain = 120 + 3 * np.sin(x / 2)[..., None] * np.ones(3)
+    dent = [np.exp(-((x - 14) ** 2 + (y - 11) ** 2) / (8 + strength)) * (x - 14) / 4 for strength in strengths]
+    return np.stack([plain + strength * part[..., None] for strength, part in zip(strengths, dent, strict=True)]) + rng.normal(
+        scale=0.3, size=(len(strengths), 24, 32, 3)
+    )
+
+
+UP, DOWN = [0.0, 25.0, 45.0, 60.0], [45.0, 25.0, 0.0]
+WAYS = {
+    "a press": ([0.0, *UP, *DOWN], 0, 0, ""),
+    "begun in contact": ([60.0, *DOWN, *UP, *DOWN], 3, 3, "starts in contact"),
+    "begun in light contact": ([45.0, *DOWN[1:], *UP], 2, 2, "starts in contact"),
+    "a weaker press before": ([0.0, 25.0, 45.0, 25.0, 0.0, *UP], 0, 4, "several presses"),
+    "a weaker one after": ([*UP, *DOWN, 25.0, 45.0, 0.0], 0, 0, ""),
+    "nothing": ([0.0] * 6, 0, 0, ""),
+}
+
+
+@pytest.mark.parametrize(("strengths", "rest", "begin", "words"), WAYS.values(), ids=list(WAYS))
+def test_the_press_of_a_film_is_found(
+    rng: np.random.Generator, strengths: list[float], rest: int, begin: int, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film = filmed(rng, strengths)
+    found = find_press(film, INPUTS)
+    free = {number for number, strength in enumerate(strengths) if strength == 0.0}
+    assert found.rest == rest or {found.rest, rest} <= free  # which of the free ones is plainest, noise decides
+    assert found.begin == begin or {found.begin, begin} <= free
+    assert words in found.note and bool(words) == bool(found.note)
+    # Planted: the plainest frame is not sought.
+    monkeypatch.setattr("learn.frames.structure", lambda picture: 0.0)
+    if "starts" in words:
+        assert find_press(film, INPUTS).rest == 0
+
+
+def test_a_press_that_is_only_let_go_is_none(rng: np.random.Generator) -> None:
+    film = filmed(rng, [60.0, *DOWN, 0.0])
+    with pytest.raises(LearnError, match="is let go, and not pressed again"):
+        find_press(film, INPUTS)
+    with pytest.raises(LearnError, match="is let go"):
+        find_press(film, INPUTS, film[-1])
 
 
 def test_loading_runs_from_contact_to_the_peak() -> None:

@@ -76,7 +76,7 @@ def test_the_gel_is_told_by_a_sensor_or_by_what_is_read(fake_data: Path, tiny_ru
     assert gel_of_sensor(str(whole)) == gel_of_sensor(str(sensor)) == (3.1, 1.2, 22.0)
     assert gel_of_sensor("fingertip2017") == (2.4, 1.0, 17.0)
     told = [ask(tiny_run, folder, sensor=str(file))[0] for file in (whole, sensor)]
-    assert told[0] == told[1] and told[0]["note"].split("; ")[-2:] == [
+    assert told[0] == told[1] and told[0]["note"].split("; ")[-3:-1] == [
         "the gel's thickness 3.1 mm is outside what it was trained on (2.1 to 2.7 mm)",
         "the gel's hardness 22 Shore 00 is outside what it was trained on (13 to 19 Shore 00)",
     ]
@@ -130,6 +130,7 @@ def test_odd_videos_get_a_clear_answer_each(tiny_run: Path, press: np.ndarray, t
         film(tmp_path / "one.mkv", press[:1]): ("unreadable", "1 frame; a press takes at least 2"),
         film(tmp_path / "black.mkv", np.zeros_like(press)): ("unreadable", "is black"),
         film(tmp_path / "still.mkv", still): ("no contact", "no contact in 8 frames"),
+        film(tmp_path / "let_go.mkv", press[::-1]): ("unreadable", "starts in contact and is let go"),
         tmp_path / "text.mp4": ("unreadable", "is no video that can be read"),
         tmp_path / "empty": ("unreadable", "holds no pictures"),
         tmp_path / "none.mp4": ("unreadable", "no such file"),
@@ -141,6 +142,12 @@ def test_odd_videos_get_a_clear_answer_each(tiny_run: Path, press: np.ndarray, t
         assert answer["status"] == status and words in in_words(answer), answer
     # A part of the long one can be asked for.
     assert ask(tiny_run, long, start=0.0, seconds=MOST_SECONDS)[0]["status"] in ("no contact", "unreadable")
+
+
+def test_a_film_that_begins_in_contact_is_read_as_one_from_rest(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    whole, late = (ask(tiny_run, film(tmp_path / name, frames))[0]
+                   for name, frames in (("whole.mkv", press), ("late.mkv", np.concatenate([press[:2:-1], press]))))  # fmt: skip
+    assert late["shore_00"] == whole["shore_00"] and "starts in contact" in late["note"] and "several" not in whole["note"]
 
 
 def test_one_damaged_episode_does_not_end_a_dataset(tiny_run: Path, tmp_path: Path) -> None:
@@ -186,7 +193,7 @@ def test_a_gel_outside_the_trainings_is_named(tiny_run: Path, press: np.ndarray,
         ((2.4, 1.5, 17.0), ["edge thickness 1.5 mm"]),
         ((4.0, 1.0, 12.0), ["thickness 4.0 mm", "hardness 12 Shore 00"]),
     ):
-        (answer,) = ask(tiny_run, video, sensor=gel_file(tmp_path, *gel))
+        (answer,) = ask(tiny_run, video, sensor=gel_file(tmp_path, *gel), framing=Framing(mm_per_px=FIELD_MM[0] / press.shape[2]))
         assert answer["novelty"] < 1 and answer["unlike_training"] == bool(named)
         assert [note.partition(" is outside")[0] for note in answer["note"].split("; ") if note] == [f"the gel's {name}" for name in named]
     # Who does not say which gel it is hears of no range.
