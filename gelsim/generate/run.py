@@ -128,7 +128,7 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
             raise
         book.write()
     report = report_of(book, out, asked, before, crew.count, time.perf_counter() - start)
-    return {"plan": catalogue.plan.name, "seed": seed} | report
+    return {"plan": catalogue.plan.name, "seed": seed, "left_out": episodes - len(asked)} | report
 
 
 def report_of(book: Book, out: Path, asked: Collection[int], before: int, workers: int, seconds: float) -> dict[str, Any]:
@@ -153,6 +153,8 @@ def summary(report: dict[str, Any]) -> str:
         if report["episodes_per_hour"]
         else "nothing was left to be done",
     ]
+    if report.get("left_out"):
+        lines.append(f"{report['left_out']} left out by --test-episodes and --train-episodes")
     if early := report["presses_ended_early"]:
         lines.append(
             f"{len(early)} presses ended early, where no equilibrium was found further on (ended_early in their rows): {early[:20]}"

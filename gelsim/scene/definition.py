@@ -688,6 +688,9 @@ def _check_object(body: Body) -> None:
         most = row.most_wall * body.radius_mm
         if body.wall_mm > most:
             raise SceneError(f"object.wall_mm = {body.wall_mm:g} mm: allowed for a {body.shape} of that radius_mm is up to {most:g} mm")
+    low, high = row.angles_deg
+    if body.angle_deg is not None and not low <= body.angle_deg <= high:
+        raise SceneError(f"object.angle_deg = {body.angle_deg:g}°: allowed for a {body.shape} is {low:g} … {high:g}°")
     of_radius, of_wall = row.least_height
     tall = of_radius * body.radius_mm + of_wall * (body.wall_mm or row.wall * body.radius_mm)
     if body.height_mm <= tall:

@@ -28,7 +28,7 @@ class Shape:
     """What touches first is straight along y."""
 
     has_radius: bool = False
-    """It reads radius_mm, and rows of datasets and the sheet say it."""
+    """It reads radius_mm, by which rows of datasets, the sheet and `gelsim live` tell its size: best that of what touches."""
     has_parts: bool = False
     """It may have a skin and grains."""
     width_mm: float = 25.0
@@ -37,6 +37,8 @@ class Shape:
     """Along y, likewise."""
     angle_deg: float | None = None
     """Where the scene says nothing; None: it has none."""
+    angles_deg: tuple[float, float] = (0.0, 180.0)
+    """Allowed, where that is less than of any shape."""
     wall: float = 0.0
     """Thickness of its wall over radius_mm, where the scene says nothing; 0: it has none."""
     most_wall: float = 0.0
@@ -87,7 +89,7 @@ SHAPES: dict[str, Shape] = {
     "corner": Shape("planes", mirror="x", tip_mm=0.7, recorded_as=("corner",)),
     "cone": Shape("turned", has_radius=True, has_parts=True, angle_deg=90.0, tip_mm=1.0),
     "box": Shape("drawn", has_parts=True, width_mm=10.0, length_mm=15.0),
-    "frustum": Shape("turned", has_radius=True, has_parts=True, angle_deg=75.0),
+    "frustum": Shape("turned", has_radius=True, has_parts=True, angle_deg=75.0, angles_deg=(45.0, 90.0)),
     "punch": Shape("turned", has_radius=True, has_parts=True, edge_radius_mm=0.0),
     "tube": Shape(
         "drawn", convex=False, hollow=True, ridge=True, has_radius=True, wall=0.2, most_wall=0.9, least_height=(1.8, 0.0), tip_mm=None

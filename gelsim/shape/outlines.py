@@ -11,7 +11,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from gelsim.errors import SceneError
 from gelsim.scene.definition import Body
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.solids import HeightField, Plane, Segment
@@ -114,10 +113,7 @@ def _ring(body: Body) -> Profile:
 
 def _truncated(body: Body) -> Profile:
     h, r = body.height_mm * MM, body.radius_mm * MM
-    angle = _angle_deg(body)
-    if not 45.0 <= angle <= 90.0:
-        raise SceneError(f"object.angle_deg = {angle:g}°: allowed for a frustum is 45 … 90°, between its flank and its base")
-    top = r + h / np.tan(angle * DEG)
+    top = r + h / np.tan(_angle_deg(body) * DEG)
     return Segment((0.0, 0.0), (r, 0.0)), Segment((r, 0.0), (top, h))
 
 

@@ -377,17 +377,30 @@ def _closed_outline(body: Body) -> Profile:
     return *segments, Segment(segments[-1].end, (0.0, body.height_mm * MM))
 
 
+def _hollow_outline(body: Body) -> Profile:
+    """The same with its hollow, whose mouth, if it has one, is cut out of the base."""
+    *outer, base = _closed_outline(body)
+    hollow = bore(body)
+    if hollow and hollow[0].start[1] == base.end[1]:
+        base = Segment(base.start, hollow[0].start)
+    return *outer, base, *hollow
+
+
 def has_profile(body: Body) -> bool:
     """Whether the object is a profile that is turned or drawn, whose distance is known in closed form (`signed_distance`)."""
     return SHAPES[body.shape].turned or SHAPES[body.shape].drawn
 
 
 def signed_distance(body: Body, points: Array) -> Array:
-    """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside; a hollow within counts as filled."""
+    """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside.
+
+    A hollow counts as filled, unless the object is turned: only then can the gel reach it, and a thin wall pushes what is deep in it on.
+    """
+    segments = _closed_outline(body)
     if is_reoriented(body):
         turn, shift = own_frame(body)
         points = (points - shift) @ turn
-    segments = _closed_outline(body)
+        segments = _hollow_outline(body)
     across = np.hypot(points[:, 0], points[:, 1]) if SHAPES[body.shape].turned else np.abs(points[:, 0])
     flat = np.stack([across, points[:, 2]], axis=1)
     away = np.min([np.linalg.norm(segment.project(flat)[0] - flat, axis=1) for segment in segments], axis=0)

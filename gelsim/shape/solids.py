@@ -49,14 +49,14 @@ class Plane:
 
 @dataclass(frozen=True)
 class Segment:
-    """A piece of a profile in the (r, z) half plane, walked with the solid on the left: a line, or an arc about (0, radius)."""
+    """A piece of a profile in the (r, z) half plane, walked with the solid on the left: a line, or an arc."""
 
     start: tuple[float, float]
     end: tuple[float, float]
     radius: float = 0.0
-    """Of an arc [m]; negative where the solid lies around it, not in it; 0 for a line."""
+    """Of an arc [m]: positive of a bulge, negative where the solid lies around it; 0 for a line."""
     centre: tuple[float, float] | None = None
-    """Of an arc; (0, radius) unless given."""
+    """Of an arc [m]; unless given on the axis, |radius| above the apex."""
 
     def _middle(self) -> Array:
         return np.array(self.centre or (0.0, abs(self.radius)))

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 
 from gelsim.errors import SceneError, within
+from gelsim.scene.definition import Scene
 from gelsim.scene.distributions import check_fields, field_kind
-from gelsim.scene.fields import nearest
+from gelsim.scene.fields import field_types, nearest
 from gelsim.scene.layers import Layer, anchored, from_folder, nested, read_layer, read_toml
 from gelsim.shape.mesh_file import check_file
 from gelsim.study import STUDIES
@@ -151,7 +152,8 @@ def _user_study(path: Path, table: dict[str, Any]) -> Study:
     where = f"study {path.name}"
     for key in table:
         if key not in _KEYS:
-            raise SceneError(f"{where}: unknown key {key!r}{nearest(key, _KEYS) or '; known are ' + ', '.join(_KEYS)}")
+            of_scene = f"; {key} of a scene stands in [scene], or in [fields]" if key in field_types(Scene) else ""
+            raise SceneError(f"{where}: unknown key {key!r}{of_scene or nearest(key, _KEYS) or '; known are ' + ', '.join(_KEYS)}")
     for key, kind, words in (("question", str, "a text"), ("metrics", list, "a list of names"), ("fields", dict, "a table")):
         if not isinstance(table.get(key), kind) or not table[key]:
             raise SceneError(f"{where}: {key} = {table.get(key)!r}: expected {words}")

@@ -116,7 +116,7 @@ def _draw_table(axis: Any, data: Dataset) -> None:
     axis.set_title("episodes by shape and hardness [Shore 00]", fontsize=9)
     if not table.size:
         return
-    axis.imshow(table, cmap="Blues", aspect="auto")
+    axis.imshow(table, cmap="Blues", aspect="auto", vmin=0)
     axis.set_xticks(range(len(classes)), classes, fontsize=7, rotation=45)
     axis.set_yticks(range(len(shapes)), shapes, fontsize=7)
     for (row, column), count in np.ndenumerate(table):

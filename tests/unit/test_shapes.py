@@ -310,8 +310,10 @@ def test_half_of_a_rigid_surface_is_half_of_the_whole() -> None:
 
 
 def test_frustum_angle_is_bounded() -> None:
-    with pytest.raises(SceneError, match=r"object.angle_deg = 30.*45 … 90"):
-        object_surface(Body(shape="frustum", angle_deg=30.0), edge_length=1e-2)
+    with pytest.raises(SceneError, match=r"object.angle_deg = 30°: allowed for a frustum is 45 … 90°"):
+        Scene(object=Body(shape="frustum", angle_deg=30.0))
+    for angle in (45.0, 90.0):
+        Scene(object=Body(shape="frustum", angle_deg=angle))
 
 
 # ---------------------------------------------------------------------------------------------------------------- files

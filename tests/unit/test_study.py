@@ -81,6 +81,7 @@ def test_a_latin_hypercube_meets_every_slice_once_at_each_point_of_the_grid() ->
     ("change", "said"),
     [
         (("question", "qestion"), "unknown key 'qestion'; did you mean 'question'"),
+        (("question", 'fidelity = "fast"\nquestion'), "unknown key 'fidelity'; fidelity of a scene stands in [scene]"),
         (('"letters"', '"force"'), "'force' is none; did you mean 'force_n'"),
         (('"gel.shore_00" = [10', '"gel.shore" = [10'), "fields.'gel.shore'"),
         (("[10, 17, 30]", "{uniform = [10, 30]}"), "cases = None: expected how many points"),
