@@ -28,7 +28,7 @@ from gelsim.geometry import QuadraticSurface, TetMesh
 from gelsim.pipeline import outputs
 from gelsim.results import Deformation, Frame, Membrane, PressSensitivity
 from gelsim.scene import materials
-from gelsim.scene.definition import Press, Scene
+from gelsim.scene.definition import Press, Scene, unread_sizes
 from gelsim.scene.layers import load_scene, scene_table
 from gelsim.scene.motion import motion
 from gelsim.units import MM
@@ -599,7 +599,7 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
         )
     if estimate is not None and estimate.force > UNSURE:
         noted.append(f"the force is known to {100 * estimate.force:.2g} % only (error_estimate); a finer --fidelity tells more")
-    noted += _beside_picture(scene, deformation)
+    noted += unread_sizes(scene.object) + _beside_picture(scene, deformation)
     report = {
         "out": str(out),
         "status": deformation.status.value,

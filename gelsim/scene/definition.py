@@ -672,6 +672,15 @@ def _check_view(scene: Scene) -> None:
         )
 
 
+def unread_sizes(body: Body) -> list[str]:
+    """What a body says of its size that its shape does not read, a sentence each."""
+    row = SHAPES[body.shape]
+    others = dict.fromkeys(name for shape in SHAPES.values() for name in shape.sizes if name not in row.sizes)
+    read = ", ".join(("height_mm", *row.sizes))
+    said = [name for name in others if getattr(body, name) != getattr(Body, name)]
+    return [f"object.{name} = {getattr(body, name)} is not read: a {body.shape} has {read}" for name in said]
+
+
 def _check_object(body: Body) -> None:
     row = SHAPES[body.shape]
     turned = next((key for key in ("press_side", "rotation_deg") if getattr(body, key) != getattr(Body, key)), None)

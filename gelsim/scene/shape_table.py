@@ -27,8 +27,9 @@ class Shape:
     ridge: bool = False
     """What touches first is straight along y."""
 
-    has_radius: bool = False
-    """It reads radius_mm, by which rows of datasets, the sheet and `gelsim live` tell its size: best that of what touches."""
+    sizes: tuple[str, ...] = ()
+    """The fields of [object] that it reads beside height_mm. Rows of datasets, the sheet and `gelsim live` tell its size by radius_mm,
+    where that is one: best that of what touches."""
     has_parts: bool = False
     """It may have a skin and grains."""
     width_mm: float = 25.0
@@ -60,6 +61,10 @@ class Shape:
     """First letters of the names of real recordings of it."""
 
     @property
+    def has_radius(self) -> bool:
+        return "radius_mm" in self.sizes
+
+    @property
     def turned(self) -> bool:
         return self.made == "turned"
 
@@ -77,32 +82,38 @@ class Shape:
         return self.relief and not self.ridge
 
 
+BLOCK = ("width_mm", "length_mm")
+WAVY = (*BLOCK, "amplitude_mm", "wavelength_mm")
+
 SHAPES: dict[str, Shape] = {
-    "flat": Shape("drawn", has_parts=True, recorded_as=("flat", "plane")),
+    "flat": Shape("drawn", sizes=BLOCK, has_parts=True, recorded_as=("flat", "plane")),
     "hemisphere": Shape(
-        "turned", has_radius=True, has_parts=True, least_soft_radius_mm=2.5, tip_mm=None, recorded_as=("hemi", "sphere", "ball")
+        "turned", sizes=("radius_mm",), has_parts=True, least_soft_radius_mm=2.5, tip_mm=None, recorded_as=("hemi", "sphere", "ball")
     ),
     "cylinder": Shape(
-        "drawn", ridge=True, has_radius=True, has_parts=True, least_soft_radius_mm=2.5, tip_mm=None, recorded_as=("cyl",)
+        "drawn", sizes=("radius_mm", "length_mm"), ridge=True, has_parts=True, least_soft_radius_mm=2.5, tip_mm=None, recorded_as=("cyl",)
     ),
-    "edge": Shape("drawn", ridge=True, has_parts=True, angle_deg=90.0, tip_mm=1.0, recorded_as=("edge",)),
-    "corner": Shape("planes", mirror="x", tip_mm=0.7, recorded_as=("corner",)),
-    "cone": Shape("turned", has_radius=True, has_parts=True, angle_deg=90.0, tip_mm=1.0),
-    "box": Shape("drawn", has_parts=True, width_mm=10.0, length_mm=15.0),
-    "frustum": Shape("turned", has_radius=True, has_parts=True, angle_deg=75.0, angles_deg=(45.0, 90.0)),
-    "punch": Shape("turned", has_radius=True, has_parts=True, edge_radius_mm=0.0),
+    "edge": Shape("drawn", sizes=(*BLOCK, "angle_deg"), ridge=True, has_parts=True, angle_deg=90.0, tip_mm=1.0, recorded_as=("edge",)),
+    "corner": Shape("planes", sizes=("width_mm",), mirror="x", tip_mm=0.7, recorded_as=("corner",)),
+    "cone": Shape("turned", sizes=("radius_mm", "angle_deg"), has_parts=True, angle_deg=90.0, tip_mm=1.0),
+    "box": Shape("drawn", sizes=BLOCK, has_parts=True, width_mm=10.0, length_mm=15.0),
+    "frustum": Shape("turned", sizes=("radius_mm", "angle_deg"), has_parts=True, angle_deg=75.0, angles_deg=(45.0, 90.0)),
+    "punch": Shape("turned", sizes=("radius_mm",), has_parts=True, edge_radius_mm=0.0),
     "tube": Shape(
-        "drawn", convex=False, hollow=True, ridge=True, has_radius=True, wall=0.2, most_wall=0.9, least_height=(1.8, 0.0), tip_mm=None
+        "drawn", sizes=("radius_mm", "length_mm", "wall_mm"), convex=False, hollow=True, ridge=True, wall=0.2, most_wall=0.9,
+        least_height=(1.8, 0.0), tip_mm=None,
     ),
-    "shell": Shape("turned", convex=False, hollow=True, has_radius=True, wall=0.2, most_wall=0.9, least_height=(1.0, 0.0), tip_mm=None),
-    "torus": Shape("turned", convex=False, has_radius=True, wall=0.5, most_wall=2.0, least_height=(0.0, 0.5)),
+    "shell": Shape(
+        "turned", sizes=("radius_mm", "wall_mm"), convex=False, hollow=True, wall=0.2, most_wall=0.9, least_height=(1.0, 0.0), tip_mm=None
+    ),
+    "torus": Shape("turned", sizes=("radius_mm", "wall_mm"), convex=False, wall=0.5, most_wall=2.0, least_height=(0.0, 0.5)),
     "tomato": Shape(
-        "turned", convex=False, has_radius=True, has_parts=True, least_height=(1.8, 0.0), skin={"thickness_mm": 0.5, "shore_a": 20.0},
+        "turned", sizes=("radius_mm",), convex=False, has_parts=True, least_height=(1.8, 0.0), skin={"thickness_mm": 0.5, "shore_a": 20.0},
         tip_mm=None,
     ),
-    "candy": Shape("drawn", has_parts=True, width_mm=10.0, length_mm=10.0, grains={"count": 20, "shore_a": 45.0}),
-    "wave": Shape("relief", ridge=True, width_mm=10.0, length_mm=10.0, tip_mm=4.0),
-    "emboss": Shape("relief", width_mm=10.0, length_mm=10.0, tip_mm=4.0),
-    "rough": Shape("relief", mirror="", width_mm=10.0, length_mm=10.0, tip_mm=4.0),
-    "mesh": Shape("file", hollow=True, mirror=""),
+    "candy": Shape("drawn", sizes=BLOCK, has_parts=True, width_mm=10.0, length_mm=10.0, grains={"count": 20, "shore_a": 45.0}),
+    "wave": Shape("relief", sizes=WAVY, ridge=True, width_mm=10.0, length_mm=10.0, tip_mm=4.0),
+    "emboss": Shape("relief", sizes=WAVY, width_mm=10.0, length_mm=10.0, tip_mm=4.0),
+    "rough": Shape("relief", sizes=(*WAVY, "pattern_seed"), mirror="", width_mm=10.0, length_mm=10.0, tip_mm=4.0),
+    "mesh": Shape("file", sizes=("mesh", "mesh_unit", "mesh_scale", "mesh_repair"), hollow=True, mirror=""),
 }  # fmt: skip

@@ -25,7 +25,7 @@ from gelsim.pipeline import stages
 from gelsim.pipeline.sheet import describe_scene
 from gelsim.results import Deformation
 from gelsim.scene import definition
-from gelsim.scene.definition import Body, Gel, Grains, Press, Scene, Skin
+from gelsim.scene.definition import Body, Gel, Grains, Press, Scene, Skin, unread_sizes
 from gelsim.scene.shape_table import SHAPES, Shape
 from gelsim.shape.outlines import BORES, PLANES, PROFILES, UNDERSIDES
 from gelsim.shape.shapes import object_surface, project, shape_symmetry
@@ -79,9 +79,7 @@ def untold(shapes: dict[str, Shape], docs: dict[str, str], table: str) -> set[st
     """Shapes that the help or the page does not name where their row asks for it."""
     told = {
         "shape": shapes,
-        "radius_mm": [name for name, row in shapes.items() if row.has_radius],
-        "angle_deg": [name for name, row in shapes.items() if row.angle_deg],
-        "wall_mm": [name for name, row in shapes.items() if row.wall],
+        **{size: [name for name, row in shapes.items() if size in row.sizes] for size in OTHERWISE},
     }
     missing = {name for key, wanted in told.items() for name in wanted if not re.search(rf"\b{name}\b", docs[key].lower())}
     return missing | {name for name in shapes if not re.search(rf"^\|.*`{name}`.*\|.*\|", table, re.MULTILINE)}
@@ -95,6 +93,24 @@ def test_texts_for_people_name_every_shape() -> None:
     assert with_parts and set(re.split(r",\s+|\s+and\s+", with_parts[1])) == {name for name, row in SHAPES.items() if row.has_parts}
 
 
+OTHERWISE = {"radius_mm": 6.0, "width_mm": 12.0, "length_mm": 13.0, "angle_deg": 80.0, "wall_mm": 1.3, "amplitude_mm": 0.3,
+             "wavelength_mm": 4.0, "pattern_seed": 1}  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", [name for name, row in SHAPES.items() if row.made != "file"])
+def test_the_sizes_of_a_row_are_those_that_change_the_shape(shape: str) -> None:
+    def surface(**size: float) -> np.ndarray:
+        return object_surface(Body(shape=shape, rigid=True, **size), edge_length=2e-3, chord=1e-4).vertices  # type: ignore[arg-type]
+
+    plain = surface()
+    assert {size for size, value in OTHERWISE.items() if not np.array_equal(surface(**{size: value}), plain)} == set(SHAPES[shape].sizes)
+
+
+def test_a_size_that_is_not_read_is_told() -> None:
+    assert unread_sizes(Body(shape="box", width_mm=4.0, radius_mm=5.0)) == []
+    assert unread_sizes(Body(shape="box", wall_mm=1.0)) == ["object.wall_mm = 1.0 is not read: a box has height_mm, width_mm, length_mm"]
+
+
 def bullet(body: Body) -> tuple[Segment, ...]:
     """A cone of 90 degrees, its flank as steep from its foot on as a rod's."""
     h, r = 1e-3 * body.height_mm, 1e-3 * body.radius_mm
@@ -104,7 +120,7 @@ def bullet(body: Body) -> tuple[Segment, ...]:
 @pytest.fixture
 def added(monkeypatch: pytest.MonkeyPatch) -> Shape:
     """A shape by the recipe of docs/extending.md: a row and a profile."""
-    row = Shape("turned", has_radius=True, has_parts=True, tip_mm=1.0, least_height=(1.0, 0.0), recorded_as=("bul",))
+    row = Shape("turned", sizes=("radius_mm",), has_parts=True, tip_mm=1.0, least_height=(1.0, 0.0), recorded_as=("bul",))
     monkeypatch.setitem(SHAPES, "bullet", row)
     monkeypatch.setitem(PROFILES, "bullet", bullet)
     return row
@@ -160,7 +176,7 @@ def test_a_shape_added_by_the_recipe_is_pressed_and_recorded(added: Shape, monke
     solved = stages.press(scene, device="cpu")
     row = record(catalogue, drawn, 0, Motion.of_press(solved), None).episode.row
     assert row["shape"] == "bullet" and row["radius_mm"] == 4.0 and warnings(solved) == []
-    monkeypatch.setitem(SHAPES, "bullet", replace(added, hollow=True, has_radius=False))
+    monkeypatch.setitem(SHAPES, "bullet", replace(added, hollow=True, sizes=()))
     assert record(catalogue, drawn, 0, Motion.of_press(solved), None).episode.row["radius_mm"] is None
     assert len(warnings(stages.press(scene, device="cpu"))) == 1
 
