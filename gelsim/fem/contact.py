@@ -15,9 +15,9 @@ the misfit is granted (LEFT_MM). Derivatives, with ν the master's normal at y, 
 
     δg = ν·(δx - δy - g δn)/(ν·n),   δn = -a^α (n·δx,α),   δξ from  δx - δy - g δn - δg n = y,α δξ^α .
 
-Friction is Coulomb's, in the same way: with e the tangential slip of a point since the last load step (against the place on the master that
-it touched then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp where it exceeds that. A point that did
-not touch then slips only from where it does: while the master, moving by w in the step, closes the gap, it passes by (`begin_step`).
+Friction goes the same way: with e the tangential slip of a point since the last load step (against the place on the master that it touched
+then) and λ_t the traction multiplier, the trial traction is λ_t + k_t e, cut back to μp (friction.py) where it exceeds that. A point that
+did not touch then slips only from where it does: while the master, moving by w in the step, closes the gap, it passes by (`begin_step`).
 "stick" has no bound, and a point that parts drops its whole traction at once: where an equilibrium lies on that jump Newton finds none.
 Points that touched when the solve began are tied then: they keep their traction through it, whether they part or not. Assembled is the
 symmetric part, p' n nᵀ and friction's at constant p and n; `remainder` is the exact rest, unsymmetric. Far from equilibrium that is left
@@ -55,6 +55,7 @@ from gelsim.fem.contact_kernels import (
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
 from gelsim.fem.field import DistanceField
+from gelsim.fem.friction import slip_bounds
 from gelsim.fem.pattern import PairPattern
 from gelsim.geometry import split_faces
 from gelsim.scene.definition import Contact
@@ -132,17 +133,13 @@ class ContactLaw:
         """μ of a scene's contact, as `friction` has it."""
         return -1.0 if contact.friction_coefficient == "stick" else float(contact.friction_coefficient)
 
-    def slip_bound(self, pressure: Array) -> Array:
-        """Tractions [kPa] that friction bears at pressures [kPa], as `contact_kernels.slip_bound`; inf where nothing slides."""
-        return self.friction * pressure if self.friction >= 0.0 else np.full_like(pressure, np.inf)
-
-    def slip_bound_slope(self, pressure: Array) -> Array:
-        """Its derivative, as `contact_kernels.slip_bound_slope`; of sliding points alone."""
-        return np.full_like(pressure, self.friction)
+    def borne(self, pressure: Array) -> Array:
+        """Tractions [kPa] that friction bears at pressures [kPa]; inf where nothing slides."""
+        return slip_bounds(self.friction, pressure) if self.friction >= 0.0 else np.full_like(pressure, np.inf)
 
     def slides(self, size: Array, pressure: Array) -> NDArray[np.bool_]:
         """Whether points slide, by the sizes of their tractions [kPa] as they were cut back."""
-        return (size > 0.0) & (size >= self.slip_bound(pressure) * (1 - 1e-9))
+        return (size > 0.0) & (size >= self.borne(pressure) * (1 - 1e-9))
 
 
 def rest_weights(rest: Array, faces: NDArray[np.int32], points: int) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from gelsim.fem import friction as friction_law
 from gelsim.fem.field import FieldGrid, read_field
 from gelsim.fem.pattern import PairPattern, add_block, pair_offset
 
@@ -141,17 +142,16 @@ def penalty_slope(s: wp.float64, k: wp.float64, eps: wp.float64) -> wp.float64:
     return k
 
 
+slip_bound = wp.func(friction_law.slip_bound)
+slip_bound_slope = wp.func(friction_law.slip_bound_slope)
+
+
 @wp.func
-def slip_bound(mu: wp.float64, p: wp.float64) -> wp.float64:
-    """Traction that friction bears at a pressure, by Coulomb's law; μ < 0: any."""
+def borne(mu: wp.float64, p: wp.float64) -> wp.float64:
+    """Traction that friction bears at a pressure; μ < 0, "stick": any."""
     if mu < wp.float64(0.0):
         return wp.float64(1.0e300)
-    return mu * p
-
-
-@wp.func
-def slip_bound_slope(mu: wp.float64, p: wp.float64) -> wp.float64:
-    return mu
+    return slip_bound(mu, p)
 
 
 # Behind a point, along its line, from where the other surface is sought [mm]: the overlaps of Newton's guesses are smaller.
@@ -358,7 +358,7 @@ def friction_force(
     position = on_face(x, base, slave, slave_face(layout, i), m)
     t = slip_trial(x, base, position, master, anchor_face[i], s, normal[i], shift[i], stick[i // layout.points])
     size = wp.length(t)
-    bound = slip_bound(friction[scene_of(layout, i)], pressure[i])
+    bound = borne(friction[scene_of(layout, i)], pressure[i])
     if size > bound:
         t = (bound / size) * t
     traction[i] = -t
@@ -445,7 +445,7 @@ def friction_tangent(
     tangential = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
     stiffness = kt * tangential
     size = wp.length(t)
-    bound = slip_bound(friction[scene_of(layout, i)], pressure[i])
+    bound = borne(friction[scene_of(layout, i)], pressure[i])
     if size > bound:
         direction = t / size
         stiffness = (kt * bound / size) * (tangential - geometric[scene_of(layout, i)] * wp.outer(direction, direction))
@@ -613,7 +613,7 @@ def add_remainder(
         dt = -wp.dot(full, n) * dn - wp.dot(full, dn) * n
         size = wp.length(t)
         mu = friction[scene]
-        bound = slip_bound(mu, p / w)
+        bound = borne(mu, p / w)
         rub = w * dt
         if size > bound:
             along = wp.normalize(t)

@@ -81,7 +81,7 @@ class EnergyBalance:
             traction, slip = contact.traction.numpy().copy(), contact.slip(problem.solids.positions())
             earlier, size = self._traction.copy(), np.linalg.norm(traction, axis=1)
             slides = contact.law.slides(size, pressure)
-            earlier[slides] = traction[slides] * (contact.law.slip_bound(self._pressure[slides]) / size[slides])[:, None]
+            earlier[slides] = traction[slides] * (contact.law.borne(self._pressure[slides]) / size[slides])[:, None]
             self._lost -= float((contact.rest_weight[:, None] * 0.5 * (traction + earlier) * slip).sum())
             self._traction = traction
         self._pressure, self._overlap = pressure, overlap

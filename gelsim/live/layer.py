@@ -9,9 +9,10 @@ of the grid around the contact: convolution with the answer to one cell, on twic
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). Under load the
 layer is as stiff as one thinner by THINNING of the mean indentation. Thickness: that of the gel at the pressure's centre.
 
-Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Coulomb friction is incremental: where
-|q| < μp the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over discs, found by spectral projected
-gradients (Birgin, Martínez and Raydan 2000). Both alternate, as shear lifts the surface and pressure spreads it.
+Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Friction (gelsim/fem/friction.py) is
+incremental: where |q| is below its bound the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over
+discs, found by spectral projected gradients (Birgin, Martínez and Raydan 2000). Both alternate, as shear lifts the surface and pressure
+spreads it.
 
 Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, inertia, viscosity, and
 the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
@@ -38,7 +39,7 @@ THINNING = 0.3
 GAP_TOLERANCE = 1e-3
 """Of the deepest overlap: gaps left in the contact, RMS."""
 SLIP_TOLERANCE = 5e-3
-"""What a step of G/h times the slip would still change, over the bounds μp, and over that step of all motion along the face."""
+"""What a step of G/h times the slip would still change, over the bounds, and over that step of all motion along the face."""
 ROUNDS = 12
 """Between pressure, shear and thickness, at most."""
 SETTLED = 2e-3
@@ -376,7 +377,7 @@ def shear(window: Window, slip: Values, bound: Values, start: Values, away: floa
 
     Args:
         slip: Under the first guess [mm], likewise.
-        bound: μp, (rows, columns).
+        bound: Of friction, (rows, columns).
         start: A first guess, |start| ≤ bound.
         away: Slip that there is without tractions, over all cells that touch, root of the sum of squares [mm].
     """

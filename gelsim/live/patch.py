@@ -1,7 +1,7 @@
 """How the force of a contact goes on over a motion so small that the contact stays what it is: what an implicit time step asks for.
 
 Each cell that touches is a spring along the gel's normal and one along its face, bounded as contact is: it does not pull, and shear stays
-within the coefficient of friction times pressure. Their stiffness is the traction of a flat punch of the contact's area
+within friction's bound. Their stiffness is the traction of a flat punch of the contact's area
 (`gelsim.live.layer.punch`), which is what a ball's pressure, too, grows by under a small motion (Johnson 1985, §5.3). Only the stability
 of a step, and the force between two answers of the gel, rest on it, no force at rest: a linearly implicit step is stable if the stiffness
 it assumes is over half of the true one (tests/unit/test_live_patch.py measures it).
@@ -16,6 +16,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gelsim.fem.friction import slip_bounds
+from gelsim.units import KPA_PER_PA
 
 Array = NDArray[np.float64]
 
@@ -32,6 +35,8 @@ class Patch:
     """Forces along x and y of the gel [N], shape (M, 2)."""
     slope: Array
     """Of the gel at rest along x and y, shape (M, 2): a pressure p acts as p (slope, -1)."""
+    area: float
+    """Of a cell [m²]."""
     friction: float
     """Coefficient."""
     springs: Array
@@ -57,7 +62,9 @@ class Patch:
         x, y, normal = motion @ self._pushed
         pressure = np.maximum(self.pressure + normal, 0.0)
         x, y = self.shear[:, 0] + x, self.shear[:, 1] + y
-        held = np.minimum(1.0, self.friction * pressure / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
+        per_kpa = self.area / KPA_PER_PA  # N
+        bound = per_kpa * slip_bounds(self.friction, pressure / per_kpa)
+        held = np.minimum(1.0, bound / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
         return np.stack([held * x + pressure * self.slope[:, 0], held * y + pressure * self.slope[:, 1], -pressure])
 
     @cached_property

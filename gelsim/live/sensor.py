@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
+from gelsim.fem.friction import slip_bounds
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Values, Window
 from gelsim.live.patch import Patch, torque
@@ -264,6 +265,7 @@ class LiveSensor:
             (state.pressure[touching] * cell).astype(float),
             (state.shear[:, touching].T * cell).astype(float),
             self._slope[:, *state.place][:, touching].T.astype(float),
+            layer.cell[0] * layer.cell[1] * MM**2,
             self._friction,
             springs,
         )
@@ -327,7 +329,7 @@ class LiveSensor:
             same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
             if same and solved and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
                 break
-            bound = np.float32(self._friction) * p
+            bound = slip_bounds(self._friction, p)
             held = gel_layer.bounded(q, bound)
             if not (same and np.array_equal(p, before) and np.array_equal(held, q)):
                 window = window if same else window.at(thickness)
@@ -340,7 +342,7 @@ class LiveSensor:
                 solved = True
         if not (window is state.window and np.array_equal(p, state.pressure) and np.array_equal(q, state.shear)):
             moved = window.moved(p, q)
-        stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK * self._friction) * p) ** 2
+        stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * slip_bounds(self._friction, p)) ** 2
         self._state = State(window, place, p, q, rest, moved, dragged, np.where(stuck, anchor, moved[:2]))
         self._pose, self._clear = (turn, shift), 0.0
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from gelsim.fem.contact import NOWHERE, ContactLaw, SurfaceContact
+from gelsim.fem.friction import slip_bound_slope
 from gelsim.fem.pattern import PairPattern
 from gelsim.fem.planar.elements import EDGE_CURVATURE, edge_gradient, edge_quadrature, edge_shape
 
@@ -180,8 +181,8 @@ class EdgeContact(SurfaceContact):
             np.add.at(total, nodes, (self.rest_weight[held, None] * share)[:, :, None] * trial[:, None, :])
 
     def _cut(self, trial: Array, pressure: Array) -> Array:
-        """What is left of a trial traction under Coulomb's bound."""
-        return np.minimum(1.0, self.law.slip_bound(pressure) / np.maximum(np.linalg.norm(trial, axis=1), 1e-300))
+        """What is left of a trial traction under friction's bound."""
+        return np.minimum(1.0, self.law.borne(pressure) / np.maximum(np.linalg.norm(trial, axis=1), 1e-300))
 
     def add_tangent(self, x: wp.array, pattern: PairPattern, values: wp.array, geometric: bool) -> bool:
         now = x.numpy()
@@ -228,7 +229,7 @@ class EdgeContact(SurfaceContact):
         return None if factors is None else lambda v: factors[0].T @ (factors[1] @ v)
 
     def slip_coupling(self, equation: NDArray[np.int32], unknowns: int) -> tuple[sp.csr_matrix, sp.csr_matrix] | None:
-        """The part of the tangent by which pressure drives slipping friction, ∂(μp)/∂u, as factors (B_t, B_n) of B_tᵀ B_n.
+        """The part of the tangent by which pressure drives slipping friction, ∂(bound)/∂u, as factors (B_t, B_n) of B_tᵀ B_n.
 
         None where no point slips. Uses the state of the last `add_force`.
         """
@@ -247,7 +248,8 @@ class EdgeContact(SurfaceContact):
         normal = self.normal.numpy()[slipping]
         places = self.anchor_face.numpy()[slipping], self.anchor_place.numpy()[slipping]
         along = self._relative_motion(slipping, direction, *places, equation, unknowns)
-        weight = self.rest_weight[slipping] * law.slip_bound_slope(pressure[slipping]) * slope
+        steeper = np.asarray(slip_bound_slope(law.friction, pressure[slipping]), float)
+        weight = self.rest_weight[slipping] * steeper * slope
         closing = self._relative_motion(slipping, -normal * weight[:, None], face, self.place.numpy()[slipping], equation, unknowns)
         return along, closing
 

@@ -1,0 +1,48 @@
+"""Friction's law has one home, gelsim/fem/friction.py: changed there, it is changed for all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gelsim.fem import contact_kernels, friction
+from gelsim.fem.contact import ContactLaw
+from gelsim.live.sensor import LiveSensor
+from gelsim.scene.layers import build_scene
+
+MU, SHARE = 0.5, 0.5
+"""Planted: a bound of SHARE μ p."""
+
+
+def test_kernels_compile_it() -> None:
+    assert contact_kernels.slip_bound.func is friction.slip_bound
+    assert contact_kernels.slip_bound_slope.func is friction.slip_bound_slope
+
+
+def test_arrays_keep_their_precision() -> None:
+    for kind in (np.float32, np.float64):
+        assert friction.slip_bounds(MU, np.ones(2, kind)).dtype == kind
+
+
+def test_slope_is_the_derivative() -> None:
+    p, h = np.linspace(0.5, 20.0, 40), 1e-4
+    slope = (friction.slip_bounds(MU, p + h) - friction.slip_bounds(MU, p - h)) / (2 * h)
+    # rounding of bounds up to 10 over 2 h
+    found = np.broadcast_to(friction.slip_bound_slope(MU, p), p.shape).astype(float)
+    assert found == pytest.approx(slope, abs=20 * np.finfo(float).eps / h)
+
+
+@pytest.mark.parametrize("planted", [False, True])
+def test_profiles_and_live_ask_it(planted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if planted:
+        monkeypatch.setattr(friction, "slip_bound", lambda mu, p: SHARE * mu * p)
+    wanted = MU * (SHARE if planted else 1.0)
+    assert ContactLaw(1.0, 1.0, MU, 1.0).borne(np.array([3.0])) == pytest.approx(3.0 * wanted)
+    body = {"shape": "hemisphere", "rigid": True, "radius_mm": 3.0}
+    scene = {"gel": {"profile": "flat"}, "object": body, "contact": {"friction_coefficient": MU}}
+    sensor = LiveSensor(build_scene(scene), image=False)
+    sensor.step((0.0, 0.0, -0.4e-3, 1.0, 0.0, 0.0, 0.0), 0.01)
+    patch = sensor.patch().wrench(np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    dragged = sensor.step((1e-3, 0.0, -0.4e-3, 1.0, 0.0, 0.0, 0.0), 0.01).force
+    for force in (patch, dragged):  # all of it slides, cells at the rim another way: 1 % (test_live_patch.py)
+        assert force[0] == pytest.approx(-wanted * force[2], rel=0.01)
