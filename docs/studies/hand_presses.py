@@ -5,18 +5,20 @@
 FOLDER holds labels.csv (file, object, thing, hardness_rank: 0 soft, 1 moderately hard, 2 hard). Each video is decoded once and read by each
 network with gel and scale told, with either, and with neither. Things are split in two by the parity of their place in the alphabet:
 choices are made on the first half, the second is held back. Spearman is by object (the mean of its videos' readings), the areas under the
-curve by video; a video that shows no contact counts as the mean of the others. --csv writes every reading; --sheet draws forty videos,
+curve by video; one in which no press is found counts as the mean of the others. --csv writes every reading; --sheet draws forty videos,
 evenly taken: untouched, pressed, the change tripled, and what the first network says of them, told gel and scale.
 """
 
 import argparse
 import csv
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from learn.config import LearnError
 from learn.data import UNKNOWN_GEL, Press, choose
 from learn.ensemble import Ensemble
 from learn.estimate import pick_device
@@ -29,10 +31,14 @@ HARD, MODERATE, SOFT = 2, 1, 0
 
 
 def presses(files: list[Path], ensemble: Ensemble, framing: Framing) -> Iterator[Press | None]:
-    """The press of each video as the networks see it; None: no contact."""
+    """The press of each video as the networks see it; None: none is found."""
     for file in files:
         ((_, read),) = sources(file, ensemble.inputs, framing=framing)
-        yield choose(read().recording, ensemble.inputs, ensemble.repeat)
+        try:
+            yield choose(read().recording, ensemble.inputs, ensemble.repeat)
+        except LearnError as error:
+            print(error, file=sys.stderr)
+            yield None
 
 
 def area(readings: np.ndarray, above: np.ndarray, below: np.ndarray) -> float:
