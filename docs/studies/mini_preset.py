@@ -43,14 +43,19 @@ determined by them is near its start, and lamps are those that explain dents, no
 The gel's modulus is quoted from 140 to 840 kPa. The noise is measured. The scale, 0.058 mm a pixel of 320, is the data sheet's field."""
 
 
+def smooth_rest(fitted: Scene, turns: int = 0) -> tuple[float, ...]:
+    """`camera.rest_smooth` of a fitted sensor's photograph, turned by so many right angles, counterclockwise."""
+    size = fitted.camera.resolution
+    _, even = rest_pictures(fitted.replace(render=replace(fitted.render, resolution=size)))
+    even = np.rot90(even, turns)
+    logs = np.log(np.maximum(even, 1.0) / 255).reshape(-1, 3)
+    numbers = np.linalg.lstsq(smooth_basis((even.shape[1], even.shape[0]), DEGREE), logs, rcond=None)[0]
+    return tuple(float(f"{x:.4g}") for x in numbers.ravel())
+
+
 def presets_of(fitted: Scene) -> dict[str, Scene]:
     """Both presets, without a photograph."""
-    size = fitted.camera.resolution
-    scene = fitted.replace(render=replace(fitted.render, resolution=size))
-    _, even = rest_pictures(scene)
-    logs = np.log(np.maximum(even, 1.0) / 255).reshape(-1, 3)
-    numbers = np.linalg.lstsq(smooth_basis(size, DEGREE), logs, rcond=None)[0]
-    camera = replace(fitted.camera, rest=None, rest_smooth=tuple(float(f"{x:.4g}") for x in numbers.ravel()), fps=25.0, noise_sd=NOISE)
+    camera = replace(fitted.camera, rest=None, rest_smooth=smooth_rest(fitted), fps=25.0, noise_sd=NOISE)
     scene = fitted.replace(camera=camera, gel=replace(fitted.gel, shore_00=None, youngs_modulus_kpa=GEL))
     return dict(zip(PRESETS, (scene.replace(markers=Markers(layout="none")), scene), strict=True))
 

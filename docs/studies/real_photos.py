@@ -3,6 +3,7 @@
     python docs/studies/real_photos.py --data ../shared/real --set mini_markers --out out/mini_photos
     gelsim calibrate --photos out/mini_photos --sensor mini --out out/mini/mini.toml
     python docs/studies/real_photos.py --photos out/mini_photos --dots out/mini/mini.toml
+    python docs/studies/real_photos.py --photos out/mini_photos --dots symmetric
 
 Sets: `mini_markers` (a GelSight Mini, ball of 5.0 mm diameter, its gel by the data sheet; the half that its owner named is for testing)
 and `dots427` (a laboratory's own sensor, ball radius 2.38 mm; every third press by number is for testing). Nothing else is handed on: no
@@ -11,7 +12,10 @@ repository.
 
 Dots: dark blobs of the picture without contact, found again within half the distance of neighbours in a test press's photograph and
 in the fitted sensor's picture of it. Of those that moved 2 px or more in the photograph: median of the distance between the two, and of the
-motion, once for the picture of the press's place and depth, once with the drag that was found beside them.
+motion, once for the picture of the press's place and depth, once with the drag that was found beside them. `--dots symmetric` asks what any
+picture without drag could reach, and draws none: to the dots of each test photograph itself a motion is fitted (least absolute values) that
+is symmetric about the contact, FREE numbers of its own for each press, whatever the gel; then as many more for how far heights look shifted
+from the picture's middle, as a camera near the gel sees them; then a drag, two numbers.
 """
 
 from __future__ import annotations
@@ -27,14 +31,17 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from gelsim.calibrate import drawing
+from gelsim.calibrate import drawing, start
 from gelsim.calibrate.dent import effective_radius, solve_dents
 from gelsim.calibrate.dots import dark_pixels
 from gelsim.calibrate.parameters import curvature_of
 from gelsim.calibrate.photos import read_photos
+from gelsim.calibrate.run import FIT_WIDTH
 from gelsim.scene.layers import build_scene
 
 MOVED_PX = 2.0
+FREE = 4
+"""Of a symmetric motion: its size at so many equally spaced distances up to where a dent is felt; between them linear, beyond none."""
 MINI = """ball_radius_mm = 2.5
 no_contact = "no_contact.png"
 markers = true
@@ -99,6 +106,46 @@ def dot_errors(photos_folder: Path, sensor: Path, dragged: bool) -> tuple[np.nda
     return np.concatenate(errors), np.concatenate(moves)
 
 
+def symmetric_errors(photos_folder: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Likewise of the best motions symmetric about the contact that a test photograph's own dots allow, by what is free."""
+    photos = read_photos(photos_folder)
+    factor = int(np.ceil(photos.size[0] / FIT_WIDTH))
+    reduced = start.reduce(np.concatenate([photos.no_contact[None], photos.pictures]), factor)
+    contacts, _ = start.find_contacts(reduced[0], reduced[1:], np.ones(reduced.shape[1:3], bool))
+    before, middle = dots_of(photos.no_contact), np.array(photos.size) / 2
+    apart = np.median(np.asarray(KDTree(before).query(before, k=2)[0])[:, 1])
+    errors: dict[str, list[np.ndarray]] = {"symmetric": [], "symmetric, heights shifted": [], "symmetric, heights shifted, drag": []}
+    moves = []
+    for index in np.flatnonzero(photos.test):
+        after = dots_of(photos.pictures[index])
+        distance, nearest = KDTree(after).query(before)
+        place, reach = factor * contacts[index, :2], start.FELT * factor * contacts[index, 2]
+        felt = (distance < 0.5 * apart) & (np.hypot(*(before - place).T) < reach)
+        motion, away = (after[nearest] - before)[felt], (before - place)[felt]
+        moved = np.hypot(*motion.T) >= MOVED_PX
+        if not moved.any():
+            continue
+        far = np.hypot(*away.T) * (FREE / reach)
+        sizes = np.clip(1 - np.abs(far[:, None] - np.arange(1, FREE + 1)), 0, 1)[:, :, None]
+        radial = sizes * (away / np.maximum(np.hypot(*away.T), 1e-9)[:, None])[:, None]
+        shifted = sizes * ((before[felt] - middle) / middle[0])[:, None]
+        dragged = (1 - far / FREE)[:, None, None] * np.eye(2)
+        for name, columns in zip(errors, ([radial], [radial, shifted], [radial, shifted, dragged]), strict=True):
+            errors[name].append(_least_absolute(np.concatenate(columns, axis=1), motion)[moved])
+        moves.append(np.hypot(*motion.T)[moved])
+    return {name: np.concatenate(parts) for name, parts in errors.items()}, np.concatenate(moves)
+
+
+def _least_absolute(columns: np.ndarray, motion: np.ndarray, turns: int = 30) -> np.ndarray:
+    """What the columns (N, K, 2) leave of motions (N, 2), shape (N,), their sum least: by least squares weighted anew."""
+    flat, left = columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]), np.ones(len(motion))
+    for _ in range(turns):
+        weight = np.repeat(1 / np.sqrt(np.maximum(left, 0.05)), 2)
+        found = np.linalg.lstsq(flat * weight[:, None], motion.ravel() * weight, rcond=None)[0]
+        left = np.hypot(*(motion - (flat @ found).reshape(-1, 2)).T)
+    return left
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path)
@@ -106,11 +153,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--scale", type=float, metavar="MM_PER_PX", help="handed on (default: left to the fit)")
     parser.add_argument("--photos", type=Path)
-    parser.add_argument("--dots", type=Path, metavar="SENSOR.toml")
+    parser.add_argument("--dots", metavar="SENSOR.toml|symmetric")
     options = parser.parse_args()
-    if options.dots:
+    if options.dots == "symmetric":
+        every, moves = symmetric_errors(options.photos)
+        print(f"{len(moves)} dots near a contact moved {MOVED_PX:g} px or more, median {np.median(moves):.2f} px; of that is left:")
+        for name, errors in every.items():
+            print(f"{name}: {np.median(errors):.2f} px")
+    elif options.dots:
         for name, dragged in (("place and depth", False), ("place, depth and drag", True)):
-            errors, moves = dot_errors(options.photos, options.dots, dragged)
+            errors, moves = dot_errors(options.photos, Path(options.dots), dragged)
             said = f"median error {np.median(errors):.2f} px of {np.median(moves):.2f} px of motion"
             print(f"{name} found: {len(errors)} dots moved {MOVED_PX:g} px or more: {said}")
     else:
