@@ -15,9 +15,8 @@ from gelsim.results import Membrane
 from gelsim.scene.definition import Scene
 
 
-def pressed_membrane(scene: Scene, depth: NDArray[np.floating], spacing: float = GRID_SPACING) -> Membrane:
-    """The gel at rest with its surface moved by -depth [m] along z; one value a vertex. Markers move with it."""
-    rest = rest_membrane(scene, spacing)
+def pressed_membrane(rest: Membrane, depth: NDArray[np.floating]) -> Membrane:
+    """A gel at rest with its surface moved by -depth [m] along z; one value a vertex. Markers move with it."""
     columns, rows = _grid(rest)
     positions = rest.positions.copy()
     positions[:, 2] -= depth
@@ -48,7 +47,7 @@ def bumpy_membrane(scene: Scene, seed: int, spacing: float = GRID_SPACING) -> Me
         # A bell's steepest slope is height over width times 0.6: up to 58 degrees.
         height = rng.uniform(0.2, min(1.2, 2.6 * width))
         depth = np.maximum(depth, height * np.exp(-((u / stretch) ** 2 + v**2) / (2 * width**2)))
-    return pressed_membrane(scene, _blurred(rest, depth * fade, 1e-4 / spacing) * 1e-3, spacing)
+    return pressed_membrane(rest, _blurred(rest, depth * fade, 1e-4 / spacing) * 1e-3)
 
 
 def dented_membrane(scene: Scene, seed: int, spacing: float = GRID_SPACING) -> Membrane:
@@ -75,7 +74,7 @@ def dented_membrane(scene: Scene, seed: int, spacing: float = GRID_SPACING) -> M
         else:
             body = deep - (1.0 - np.sqrt(np.maximum(1.0 - (away - radius / 2) ** 2, 0)))
         total = np.maximum(total, np.maximum(body, 0))
-    return pressed_membrane(scene, _blurred(rest, total * fade, rng.uniform(0.2e-3, 0.45e-3) / spacing) * 1e-3, spacing)
+    return pressed_membrane(rest, _blurred(rest, total * fade, rng.uniform(0.2e-3, 0.45e-3) / spacing) * 1e-3)
 
 
 def _grid(membrane: Membrane) -> tuple[int, int]:

@@ -68,7 +68,7 @@ def test_tilted_plane_shows_the_table(variant):
     """A plane z = -1 + 0.2 x - 0.1 y: points by intersecting rays with it, normals by hand."""
     scene = flat_scene()
     rest = rest_membrane(scene)
-    membrane = pressed_membrane(scene, 1e-3 - 0.2 * rest.positions[:, 0] + 0.1 * rest.positions[:, 1])
+    membrane = pressed_membrane(rest, 1e-3 - 0.2 * rest.positions[:, 0] + 0.1 * rest.positions[:, 1])
     picture, height = BakedRenderer(scene, linear_field(), variant, shadows=False, indirect=False).picture(membrane)
     column, row = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
     ax, ay, bx, by = straight_rays(scene, column.ravel(), row.ravel()).T
@@ -109,7 +109,8 @@ def test_a_membrane_without_a_grid_is_refused():
 
 def ridge(scene: Scene) -> Membrane:
     """A ridge along y, 0.8 mm high on the camera's side and 0.3 mm wide."""
-    return pressed_membrane(scene, 0.8e-3 * np.exp(-((rest_membrane(scene).positions[:, 0] - 0.5e-3) ** 2) / (2 * (0.3e-3) ** 2)))
+    rest = rest_membrane(scene)
+    return pressed_membrane(rest, 0.8e-3 * np.exp(-((rest.positions[:, 0] - 0.5e-3) ** 2) / (2 * (0.3e-3) ** 2)))
 
 
 def visible_by_hand(scene: Scene, x: float, count: int = 41) -> float:
@@ -182,9 +183,9 @@ def test_a_lamp_behind_the_middle_has_distances_like_others():
 def test_light_from_a_long_ramp(variant):
     """Beside a ramp that shines everywhere with L = 1 the horizontal surface receives E/π = (1 - cos α)/2, α the ramp's elevation."""
     scene = flat_scene(gel=Gel(profile="flat", size_mm=(30.0, 30.0)))
-    x = rest_membrane(scene).positions[:, 0]
+    rest = rest_membrane(scene)
     # Flat to the right of x = 0; to the left it rises at 45 degrees to 1.5 mm.
-    membrane = pressed_membrane(scene, np.clip(-x, 0, 1.5e-3))
+    membrane = pressed_membrane(rest, np.clip(-rest.positions[:, 0], 0, 1.5e-3))
     field = replace(even_field(), gains=np.array([1.0, 0.5, 0.0], np.float32))
     picture, _ = BakedRenderer(scene, field, variant, shadows=False).picture(membrane)
     points = straight_rays(scene, np.arange(160) + 0.5, np.full(160, 60.5))
