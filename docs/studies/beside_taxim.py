@@ -152,8 +152,8 @@ def main() -> None:
     }
     for name, score in [*((name, score["drawn"]) for name, score in rows.items()), ("no contact", rows["here"]["no_contact"])]:
         print(f"{name}: " + ", ".join(f"{key} {score[key]:.3f}" for key in comparison.SCORES))
-    columns = [("photograph", list(photos.pictures)), ("Taxim's package, with shadows", drawn[True]), ("here", mine)]
-    captions = [f"depth {place[0]:.2f} mm (Taxim), {depth:.2f} mm (here)" for place, depth in zip(places, depths, strict=True)]
+    columns = [("photograph", photos.pictures[::2]), ("Taxim's package, with shadows", drawn[True][::2]), ("here", mine[::2])]
+    captions = [f"depth {place[0]:.2f} mm (Taxim), {depth:.2f} mm (here)" for place, depth in zip(places, depths, strict=True)][::2]
     pictures.draw_comparison(options.out / "beside_taxim.png", columns, captions)
 
 
