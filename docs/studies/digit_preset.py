@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import subprocess
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ from gelsim import optics
 from gelsim.calibrate.photos import read_photos
 from gelsim.calibrate.preset import write_preset
 from gelsim.membrane.surface import rest_membrane
-from gelsim.scene.definition import Light, Scene
+from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 
 COMMIT, COUNT = "2acf872", 14
@@ -38,8 +37,6 @@ NOISE = (1.0, 1.0, 2.1)
 """Standard deviations of that DIGIT's camera [levels], as `--photos` says."""
 DISTANCE_MM = 22.0
 """Of the camera, as in TACTO's config_digit.yml. The photographs do not tell it (test presses: squared error 19.0 so, 18.6 as fitted)."""
-TOP_MM = -4.0
-"""Lamps below the pad end here: nearer to the coat they speckle (1.9 levels at 16 paths a pixel, 1.3 so; squared error 19.2)."""
 SETTINGS = """ball_radius_mm = 3.0
 mm_per_px = 0.0587
 no_contact = "no_contact.png"
@@ -82,7 +79,7 @@ def preset_of(fitted: Scene) -> Scene:
 
     lamps = tuple(
         replace(light, position_mm=turned(light.position_mm), direction=turned(light.direction))
-        for light in map(partial(_lowered, half=fitted.gel.half_width_mm), fitted.lights.lights)
+        for light in fitted.lights.lights
         if light.power > 0
     )
     camera = replace(
@@ -99,15 +96,6 @@ def preset_of(fitted: Scene) -> Scene:
     )
     gel = replace(fitted.gel, shore_00=None, shore_a=20.0)
     return fitted.replace(gel=gel, camera=camera, lights=replace(fitted.lights, lights=lamps))
-
-
-def _lowered(light: Light, half: float) -> Light:
-    """An upright lamp, less what of it is above TOP_MM, if it stands below the pad."""
-    (x, y, z), (length, height) = light.position_mm, light.size_mm
-    if max(abs(x), abs(y)) > half or z + height / 2 <= TOP_MM:
-        return light
-    foot = z - height / 2
-    return replace(light, position_mm=(x, y, (foot + TOP_MM) / 2), size_mm=(length, TOP_MM - foot))
 
 
 def beside(folder: Path, preset: str) -> None:

@@ -234,6 +234,33 @@ def test_lobe_of_a_lamp(mi):
 # ---- all of it ----
 
 
+def test_lamps_near_and_far_are_the_sum_over_their_places(mi, monkeypatch):
+    """One whose edge comes within 1 mm of the coat, one across the axis, one that is seen as 2e-5 sr; each alone, against the sum over its
+    cells (120 a side: of the near ones good to 0.1 %)."""
+    lamps = {
+        "near": Light("near", (3.0, 0.0, -5.0), (-1.0, 0.5, 0.0), (9.0, 8.0), (1.0, 1.0, 1.0), 20.0),
+        "across": Light("across", (0.5, 0.0, -3.0), (-0.2, 0.0, 1.0), (8.0, 4.0), (1.0, 1.0, 1.0), 20.0),
+        "far": Light("far", (60.0, 0.0, -200.0), (-0.3, 0.0, 1.0), (1.0, 1.0), (1.0, 1.0, 1.0), 1e4),
+    }
+
+    def compared(name: str) -> tuple[float, float]:
+        """The picture's light over the sum's, and the noise of a pixel of 16 paths over its light."""
+        lights = Lights((lamps[name],), window_thickness_mm=4.0, window_reflection=False)
+        scene = small_plane(lights=lights, coating=Coating(specular=0.0, grain=0.0), render=Render("direct", 16, (32, 24)))
+        drawn, wanted = pictures(mi, scene, rest_membrane(scene), seeds=8), lambert_plane(scene, 120)
+        lit = wanted.mean(axis=2) > 0.05 * wanted.max()
+        return drawn.mean(axis=0)[lit].sum() / wanted[lit].sum(), (drawn.std(axis=0, ddof=1)[lit] / wanted[lit]).mean()
+
+    for name, most in (("near", 0.02), ("across", 0.02), ("far", 1e-4)):
+        whole, noise = compared(name)
+        # 0.8, 0.7 and 0.001 % of noise here; of 6,000 pixels' mean a hundredth of it.
+        assert whole == pytest.approx(1, abs=2e-3) and noise < most, name
+    monkeypatch.setattr("gelsim.optics.tracer.FAR_SR", 1e9)  # planted: all by area, 12 and 4 %
+    assert compared("near")[1] > 0.05 and compared("across")[1] > 0.02
+    monkeypatch.setattr("gelsim.optics.tracer.FAR_SR", 0.0)  # planted: none, of angles in single precision
+    assert compared("far")[1] > 1e-3
+
+
 @pytest.mark.parametrize("specular", [0.0, 0.25])
 @pytest.mark.parametrize("window", [False, True])
 def test_path_is_brute_force(mi, window, specular):
