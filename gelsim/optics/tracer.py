@@ -257,7 +257,8 @@ class Tracer:
             # Φ is spread over the area as Φ (m + 1)/(2π A) cos^(m-1); A cancels against the density of places spread evenly over it.
             flux = values[f"lights.{i}.rgb"] * values[f"lights.{i}.power"] * ((light.lobe + 1) / (2 * dr.pi))
             middle, up = values[f"lights.{i}.position_mm"], dr.cross(facing, along)
-            where, denser = self._on_rectangle(*(dr.detach(part) for part in (middle - start, along, up, facing, size)), sample())
+            still = dr.detach
+            where, denser = self._on_rectangle(still(middle - start), still(along), still(up), still(facing), still(size), sample())
             source, flux = middle + along * (where.x * size.x) + up * (where.y * size.y), flux * denser
             sources.append((source, facing, flux, light.lobe))
             if mirrored_light(scene, light):
