@@ -220,7 +220,7 @@ class SymmetricSystem:
     # C couples few points: some ten iterations. Where they fall short the step is inexact, and Newton corrects it.
     KRYLOV_TOLERANCE = 1e-3
     KRYLOV_LIMIT = 20
-    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
+    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the solves of a step above which the next gets new
     # factors. On one core, in three dimensions, these cost 20 to 40 products.
     FORCING = 0.03
     WORN = 13
@@ -354,11 +354,11 @@ def gmres(product: Product, b: NDArray[np.float64], tolerance: float, limit: int
         hessenberg[: k + 1, k] = along = basis[: k + 1] @ new
         new -= along @ basis[: k + 1]
         hessenberg[k + 1, k] = rest = float(np.linalg.norm(new))
-        left = 0.0
+        left = 0.0 if rest == 0.0 else np.inf
         if rest > 0.0:
             basis[k + 1], z[k + 1] = new / rest, -float(z[: k + 1] @ along) / rest
             left = 1.0 / float(np.linalg.norm(z[: k + 2]))
-        if not left > tolerance:
+        if left <= tolerance or left == np.inf:
             break
     first = np.zeros(k + 2)
     first[0] = size
