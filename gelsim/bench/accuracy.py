@@ -23,9 +23,6 @@ FIDELITIES = ("fast", "balanced", "reference")
 BOUNDS = {"balanced": (2.0, 3.0, 5.0), "reference": (0.7, 1.5, 2.0)}
 """Of force [%], contact radius [%] and profile [µm]. The radius is held against the finer profiles: the other code's own is known to a
 quarter of its edge, up to 5 % of the smallest ones."""
-OPEN_CODES = (("CalculiX 2.20", 36.0, 1.0), ("CalculiX 2.20", 45.0, 0.75), ("NGSolve 6.2", 16.0, 0.4), ("NGSolve 6.2", 161.0, 0.4))
-"""Code, wall seconds, |force error| [%] of the hemisphere of 200 kPa, ν 0.49, a quarter, as the reference data's own record has them:
-two shared cores of another machine, so the ratios to ours are rough."""
 PROFILE_RADIUS_MM = 8.0
 """The membrane within this radius is compared: beyond it nothing moves by more than a few micrometres."""
 
@@ -138,7 +135,10 @@ def _remarks(rows: list[Row]) -> str:
 
 
 def _draw(rows: list[Row], folder: Path) -> None:
-    """speed_against_error.png: force error against seconds of the solve, a line for each object, the open codes' points beside them."""
+    """speed_against_error.png: force error against seconds of the solve, a line for each object; NGSolve beside us in one run.
+
+    That run is `docs/studies/beside_ngsolve.py`'s: both on the same cores, errors at 1 mm.
+    """
     rows = [row for row in rows if "force_error_percent" in row]
     if not rows:
         return
@@ -157,10 +157,11 @@ def _draw(rows: list[Row], folder: Path) -> None:
         axes.plot(seconds, errors, style, color=colours[name], label=f"{name}, {kind}", ms=4, lw=1)
         for p in points:
             axes.annotate(p["fidelity"][0], (p["seconds"], p["force_error_percent"]), textcoords="offset points", xytext=(4, 3), fontsize=7)
-    for code, marker in (("CalculiX 2.20", "^"), ("NGSolve 6.2", "v")):
-        points = [(seconds, error) for name, seconds, error in OPEN_CODES if name == code]
-        label = f"{code}, 200 kPa, ν 0.49, quoted"
-        axes.plot(*zip(*points, strict=True), marker, color="black", label=label, ms=6)
+    with (assets_folder() / "reference" / "beside_ngsolve.csv").open() as file:
+        beside = [(row["way"], float(row["seconds"]), float(row["force_error_percent"])) for row in csv.DictReader(file)]
+    for code, marker in (("gelsim", "*"), ("NGSolve", "v")):
+        points = [(seconds, error) for way, seconds, error in beside if way.startswith(code)]
+        axes.plot(*zip(*points, strict=True), marker, color="black", label=f"{code}, 200 kPa, ν 0.49, at 1 mm, one run", ms=7, ls="none")
     axes.set(xscale="log", yscale="log", xlabel="seconds of the solve, 10 states", ylabel="largest force error [%]")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")

@@ -289,7 +289,11 @@ class _March:
             self.status, self.message = SolveStatus.CONVERGED, ""
             force = -problem.contact_force()[2]
             if self.stop_n is not None and leg == 1 and force >= self.stop_n:
-                new, force = yield from self._stop_at_force(here, new, force)
+                found = yield from self._stop_at_force(here, new, force)
+                if found is None:
+                    step, easy, self.halved = (new - here.time) / 2, 0, self.halved + 1
+                    continue
+                new, force = found
                 self.stopped = True
                 self.way = way = way.stays_from(leg, new)
                 target = recorded = end = new
@@ -544,8 +548,11 @@ class _March:
         ahead = max(1.2 * (self.stop_n - self.normal_force) / self._rate / speed, SMALLEST_STEP * self._spacing)
         return self.time + ahead
 
-    def _stop_at_force(self, here: _State, new: float, force: float) -> Generator[Request, NewtonReport, tuple[float, float]]:
-        """The time [s] between `here` and `new` where the normal force is what stops it, and the force; the solids are left at it."""
+    def _stop_at_force(self, here: _State, new: float, force: float) -> Generator[Request, NewtonReport, tuple[float, float] | None]:
+        """The time [s] between `here` and `new` where the normal force is what stops it, and the force; the solids are left at it.
+
+        None where no equilibrium was found in between: then from `here` on a shorter step is to be made, as long as there is one.
+        """
         wanted, way, leg = self.stop_n, self.way, self._leg
         assert wanted is not None
 
@@ -558,6 +565,8 @@ class _March:
             fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
             new = low[0] + float(fraction) * (high[0] - low[0])
             if not (yield from self._attempt(here, new, approach(new))):
+                if high[0] - here.time >= 2 * SMALLEST_STEP * self._spacing and self._wasted <= self.problem.most_wasted:
+                    return None
                 break  # a longer step converged: keep to that, a little beyond the force
             force = -self.problem.contact_force()[2]
             if force > wanted:

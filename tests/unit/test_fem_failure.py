@@ -166,6 +166,35 @@ def test_a_press_says_what_it_ended_at(
     assert press.lost == (end is PressEnd.LOST)
 
 
+@pytest.mark.parametrize("smallest", [1 / 64, 1.0])
+def test_a_force_that_was_passed_is_looked_for_in_shorter_steps(monkeypatch: pytest.MonkeyPatch, smallest: float) -> None:
+    """Of the looks for the force the first fails. Where no step may be shorter the press ends beyond it, and says so."""
+    attempt, passed = quasistatic._March._attempt, [0]  # pyright: ignore[reportPrivateUsage]
+
+    def first_look_fails(march, here, new, approach):  # type: ignore[no-untyped-def]
+        if passed == [1]:
+            passed[0] += 1
+            yield from march._return_to(here, 2.0)
+            return False
+        found = yield from attempt(march, here, new, approach)
+        passed[0] += not passed[0] and -march.problem.contact_force()[2] > 0.05
+        return found
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", first_look_fails)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(quasistatic, "SMALLEST_STEP", smallest)
+    scene = ball_scene(0.6, 3, radius_mm=5.0)
+    scene = scene.replace(press=replace(scene.press, force_n=0.05))
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert press.report.ended_by is PressEnd.FORCE and passed == [2]
+    assert press.report.steps_halved == (smallest < 1.0)
+    off = -press.force[-1, 2] / 0.05 - 1
+    if smallest < 1.0:
+        assert abs(off) <= quasistatic.FORCE_TOLERANCE and not press.report.warnings
+    else:
+        assert off > quasistatic.FORCE_TOLERANCE and "was passed" in press.report.warnings[-1]
+
+
 @pytest.mark.parametrize(("falls_to", "lost_beyond_mm"), [(0.5, 1.0), (0.99, 0.4)])
 @pytest.mark.parametrize("shear", [0.0, 0.1])
 def test_a_press_to_a_force_ends_where_the_object_gives_way(
