@@ -23,7 +23,6 @@ from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import assets_folder, build_scene
-from gelsim.shape import shapes
 from gelsim.units import MM
 
 Array = NDArray[np.float64]
@@ -74,7 +73,7 @@ def way(scene: Scene, approach: Array) -> list[Array]:
     """Poses of a press's object at approaches [m]; without twist."""
     from scipy.spatial.transform import Rotation
 
-    turn, shift = fem.rigid_placement(scene, shapes.rigid_surface(scene, frozenset()))
+    turn, shift = fem.rigid_placement(scene)
     quaternion = Rotation.from_matrix(turn).as_quat()[[3, 0, 1, 2]]
     assert scene.press.depth_mm is not None
     along = np.array([*scene.press.shear_mm, -scene.press.depth_mm]) / scene.press.depth_mm

@@ -44,12 +44,12 @@ def quiet_warp() -> None:
             os.write(2, b"".join(line for line in said if b"Could not find or load the NVIDIA CUDA driver" not in line))
 
 
-def rigid_placement(scene: Scene, surface: QuadraticSurface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def rigid_placement(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where a rigid object, its edges rounded, first touches the gel (`field.placement`)."""
     quiet_warp()
     from gelsim.fem.field import placement
 
-    return placement(scene, surface)
+    return placement(scene)
 
 
 def solve_press(

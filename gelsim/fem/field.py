@@ -34,7 +34,6 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gelsim.files import cache_folder, whole_file
-from gelsim.geometry import QuadraticSurface
 from gelsim.scene.definition import Body, Scene
 from gelsim.scene.motion import widest
 from gelsim.shape import outlines, shapes
@@ -378,22 +377,21 @@ TOUCH_MM = 1e-5
 """Gap at which a rigid object touches."""
 
 
-def placement(scene: Scene, surface: QuadraticSurface) -> tuple[Array, Array]:
+def placement(scene: Scene) -> tuple[Array, Array]:
     """Where a rigid object, its edges rounded, just touches the undeformed gel: positions = R p + t, R (3, 3), t (3,) [m].
 
-    From where its sharp `surface` touches it is lowered by the smallest distance to a grid of points on the gel, until that is TOUCH_MM at
+    From where its sharp surface touches it is lowered by the smallest distance to a grid of points on the gel, until that is TOUCH_MM at
     most; then once more with finer points around the nearest, by which it may rise.
     """
-    turn, shift = shapes.placement(scene, surface)
+    surface, turn, shift = shapes.first_touch(scene)
     field = distance_field(scene)
     low = shift * MM_PER_M
     step, half = 0.1, np.array(scene.gel.size_mm) / 2
     lines = [np.linspace(-h, h, 1 + 2 * int(np.ceil(h / step))) for h in half]
-    places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     under = (surface.nodes @ turn.T)[:, :2] * MM_PER_M + low[:2]
-    first, last = under.min(axis=0) - step, under.max(axis=0) + step
-    first = np.where([axis in shapes.press_symmetry(scene) for axis in "xy"], -last, first)
-    places = places[((places >= first) & (places <= last)).all(axis=1)]
+    ends = zip(lines, under.min(axis=0) - step, under.max(axis=0) + step, strict=True)
+    lines = [line[(line >= first) & (line <= last)] for line, first, last in ends]
+    places = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     for _ in range(4):
         points = np.column_stack([places, shapes.gel_height(scene.gel, places / MM_PER_M) * MM_PER_M])
         near = np.arange(len(points))

@@ -111,7 +111,7 @@ class _Walk:
         self.scene, self.begin, self.progress = scene, begin, progress
         self.clock = time.perf_counter()
         self.surface = shapes.rigid_surface(scene, frozenset())
-        self.turn, shift = rigid_placement(scene, self.surface)
+        self.turn, shift = rigid_placement(scene)
         self.shift = shift * MM_PER_M
         self.pivot = np.array([*scene.press.offset_mm, self.shift[2]])
         self.sensor = LiveSensor(scene, image=False)

@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -268,7 +269,7 @@ def _bodies(
         gel = gel_mesh.mesh_gel(scene, symmetry)
         record.meshes["gel"] = body_mesh.mesh_report(gel)
         if scene.object.rigid:
-            placement = rigid_placement(scene, surface)
+            placement = rigid_placement(scene)
         else:
             placement = shapes.placement(scene, surface)
         return gel, body, placement
@@ -656,11 +657,12 @@ def _slow_motion(deformation: Deformation) -> float:
 
 def versions(names: Sequence[str] = VERSIONS_OF) -> dict[str, str | None]:
     """Installed versions of packages; None for what is not here."""
+    return {name: _version(name) for name in names}
 
-    def version(name: str) -> str | None:
-        try:
-            return importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            return None
 
-    return {name: version(name) for name in names}
+@cache
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -6,6 +6,9 @@ from outside everywhere. A hole gets a fan of triangles to its middle; where wha
 walls go up from the rim to a lid; of a bare sheet the side that the gel sees is the outside. Without that a sheet's winding number is ½ on
 neither side (tests/unit/test_mesh_file.py measures it). A soft object is closed, by fans, only when `object.mesh_repair` asks for it.
 
+A slit, open edges with no area between them, is sewn: a face is split where a vertex of the rim lies on its open edge. So is what slivers
+leave, triangles without area that close a surface in name. Two faces back to back bound nothing and are left out.
+
 Only geometry is read: no material, texture or other file that the mesh names is opened, and nothing in it is run.
 
 Left out: what crosses itself within one body is not looked for; the winding number counts it as filled.
@@ -38,6 +41,8 @@ _SMALLEST = 0.5e-3
 """Of the largest extent of a rigid object, of the least of a soft one [m]: a part in metres said to be in millimetres falls below it."""
 _LARGEST = {"rigid": 10.0, "soft": 100e-3}
 """Largest extent [m]: of a soft object everything is meshed, of a rigid one only what lies over the gel counts."""
+_SEWN_WITHIN = 1e-6
+"""Of the largest extent: how far a vertex may be from an edge that it lies on. STL's numbers are rounded at 6e-8 of theirs."""
 _THIN_ABOVE = 20_000
 _THIN_TOLERANCE = 5e-6
 """A finer mesh is thinned as long as its surface moves less than this [m]: a quarter of the overlap that a press may show."""
@@ -121,15 +126,17 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
     vertices = vertices * (MESH_UNITS[body.mesh_unit] * body.mesh_scale)
     _check_extent(np.ptp(vertices, axis=0), body, named)
     vertices = vertices @ orientation(body).T
+    if open_in_file := done["open_edges"]:
+        if not body.rigid and not body.mesh_repair:
+            holes = len(_Rims(vertices, faces).missing)
+            raise SceneError(
+                f"{named} is not closed ({open_in_file} open edges, holes: {holes}); allowed for a soft object is a closed "
+                "surface; object.mesh_repair = true closes it by fans of triangles, and object.rigid = true presses it as it is"
+            )
+        faces = _noted(done, "sewn_faces", *_sewn(vertices, faces))
     rims = _Rims(vertices, faces)
     area = 0.5 * np.linalg.norm(_area_vectors(vertices[faces]), axis=1).sum()
     missing = 0.5 * np.linalg.norm(rims.missing, axis=1).sum()
-    done["open_edges"] = rims.edges
-    if rims.edges and not body.rigid and not body.mesh_repair:
-        raise SceneError(
-            f"{named} is not closed ({rims.edges} open edges, holes: {len(rims.missing)}); allowed for a soft object is a closed "
-            "surface; object.mesh_repair = true closes it by fans of triangles, and object.rigid = true presses it as it is"
-        )
     sheet = body.rigid and missing > _SHEET * area
     if sheet:
         inside_out = rims.missing[:, 2].sum() < 0.0
@@ -140,6 +147,8 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
         faces = faces[:, ::-1]
         rims = _Rims(vertices, faces)
         done["turned_inside_out"] = True
+    if open_in_file and not rims.edges:
+        notes.append(f"{named} has {open_in_file} open edges, slits without area; closed by splitting {done['sewn_faces']} faces at them")
     if rims.edges:
         done["closed_holes"] = len(rims.missing)
         done["closed_area_mm2"] = round(float(missing) / MM**2, 3)
@@ -179,6 +188,8 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
 def welded(path: str, stamp: tuple[int, ...], field: str = "object.mesh") -> tuple[Array, Faces, dict[str, object]]:
     """Vertices in the file's unit, no two at one place, faces alike in orientation where they can be, and what was done.
 
+    `open_edges` of what was done are the file's; slivers are sewn over where it is closed by them alone.
+
     Raises:
         SceneError: The file that `field` names is missing, too large, or no surface.
     """
@@ -210,7 +221,7 @@ def welded(path: str, stamp: tuple[int, ...], field: str = "object.mesh") -> tup
     unit = np.ptp(vertices, axis=0).max() or 1.0
     mesh = trimesh.Trimesh(vertices / unit, faces, process=False)  # trimesh welds within 1e-8
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
     mesh.remove_unreferenced_vertices()
     faces = np.asarray(mesh.faces, np.int64)
     first = faces.argmin(axis=1)
@@ -220,12 +231,32 @@ def welded(path: str, stamp: tuple[int, ...], field: str = "object.mesh") -> tup
     if len(once) < len(faces):  # the same face twice, the same side out
         mesh.update_faces(np.sort(once))
         done["repeated_faces"] = len(faces) - len(once)
-    if not len(mesh.faces):
+    faces = np.asarray(mesh.faces, np.int64)
+    _, of_corners, sides = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
+    back_to_back = sides[of_corners.ravel()] > 1
+    if back_to_back.any() and not back_to_back.all():
+        mesh.update_faces(~back_to_back)
+        mesh.remove_unreferenced_vertices()
+        done["faces_back_to_back"] = int(back_to_back.sum())
+    whole = mesh.nondegenerate_faces()
+    if not whole.any():
         raise SceneError(f"{named} holds {done['file_faces']} faces, none of which has an area; allowed: a triangle surface")
     if not _alike(np.asarray(mesh.faces, np.int64), len(mesh.vertices)):
         trimesh.repair.fix_winding(mesh)
         done["reoriented"] = True
-    return np.asarray(mesh.vertices) * unit, np.asarray(mesh.faces, np.int64), done
+    vertices, faces = np.asarray(mesh.vertices) * unit, np.asarray(mesh.faces, np.int64)
+    done["open_edges"] = open_edges(vertices, faces)
+    if not whole.all():
+        faces = faces[whole]
+        faces = faces if done["open_edges"] else _noted(done, "sewn_faces", *_sewn(vertices, faces))
+    return vertices, faces, done
+
+
+def _noted(done: dict[str, object], what: str, faces: Faces, count: int) -> Faces:
+    """Faces, of which `count` were treated, as `what` in what was done."""
+    if count:
+        done[what] = count
+    return faces
 
 
 def _check_extent(extent: Array, body: Body, named: str) -> None:
@@ -271,6 +302,49 @@ def _volume(vertices: Array, faces: Faces) -> float:
 def open_edges(vertices: Array, faces: Faces) -> int:
     """Edges that are passed more often one way than the other."""
     return _Rims(vertices, faces).edges
+
+
+def _sewn(vertices: Array, faces: Faces) -> tuple[Faces, int]:
+    """Faces split where a vertex of the rim lies on their open edge, and how many were."""
+    from scipy.spatial import KDTree
+
+    split_faces = 0
+    within = _SEWN_WITHIN * np.ptp(vertices, axis=0).max()
+    for _ in range(3):  # a face has no more edges, and each is split at all places at once
+        edges, _, net = _directed(faces, len(vertices))
+        rim = edges[net != 0]
+        if not len(rim):
+            break
+        corners = np.unique(rim)
+        begin, along = vertices[rim[:, 0]], np.diff(vertices[rim], axis=1)[:, 0]
+        length = np.linalg.norm(along, axis=1)
+        near = KDTree(vertices[corners]).query_ball_point(begin + along / 2, length / 2 + within)
+        edge, corner = np.repeat(np.arange(len(rim)), [len(one) for one in near]), corners[np.concatenate(near).astype(np.int64)]
+        away = vertices[corner] - begin[edge]
+        share = (away * along[edge]).sum(axis=1) / np.maximum(length[edge], 1e-300) ** 2
+        apart = np.linalg.norm(away - share[:, None] * along[edge], axis=1)
+        on_it = (apart <= within) & (corner != rim[edge, 0]) & (corner != rim[edge, 1]) & (share > 0.0) & (share < 1.0)
+        order = np.lexsort((share[on_it], edge[on_it]))
+        places: dict[tuple[int, int], list[int]] = {}
+        for number, place in zip(edge[on_it][order].tolist(), corner[on_it][order].tolist(), strict=True):
+            places.setdefault((int(rim[number, 0]), int(rim[number, 1])), []).append(place)
+        if not places:
+            break
+        kept, made = np.ones(len(faces), bool), []
+        touched = np.flatnonzero(np.isin(faces, np.array(list(places))).sum(axis=1) >= 2)
+        for number, face in zip(touched.tolist(), faces[touched].tolist(), strict=True):
+            for first in range(3):
+                a, b, c = (face[(first + step) % 3] for step in range(3))
+                if inner := places.get((min(a, b), max(a, b))):
+                    line = [a, *(inner if a < b else inner[::-1]), b]
+                    made += [[one, two, c] for one, two in zip(line, line[1:], strict=False) if c not in (one, two)]
+                    kept[number] = False
+                    break
+        if not made:
+            break
+        split_faces += int((~kept).sum())
+        faces = np.vstack([faces[kept], made])
+    return faces, split_faces
 
 
 class _Rims:

@@ -263,6 +263,11 @@ def sharp_edges(body: Body, least_deg: float = 30.0) -> Array:
 
     An edge is sharp where the surface turns by more than `least_deg`, or where four faces or more share it.
     """
+    return _sharp_edges(body, least_deg, file_stamp(body))
+
+
+@lru_cache(maxsize=4)
+def _sharp_edges(body: Body, least_deg: float, stamp: tuple[int, ...]) -> Array:
     surface = object_surface(body, edge_length=np.inf, chord=np.inf if of_file(body) else 1e-5)
     edges, index = edges_of(surface.faces, FACE_EDGES)
     corners = surface.vertices[surface.faces]

@@ -203,7 +203,7 @@ def test_acute_corners_touch_with_no_force_and_no_overlap(tmp_path: object, tilt
 def test_touch_begins_where_the_surfaces_meet(body: dict[str, object]) -> None:
     """Placed, the field is nowhere negative on the gel; a micrometre lower it is."""
     scene = build_scene({"object": body | {"rigid": True}, "press": {"depth_mm": 0.3, "tilt_deg": [5.0, 12.0]}})
-    turn, shift = rigid_placement(scene, shapes.rigid_surface(scene, frozenset()))
+    turn, shift = rigid_placement(scene)
     field = distance_field(scene)
     x, y = np.meshgrid(np.linspace(-12, 12, 1201), np.linspace(-12, 12, 1201))
     places = np.column_stack([x.ravel(), y.ravel()])

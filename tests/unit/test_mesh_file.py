@@ -20,7 +20,7 @@ from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Body, Gel, Press, Scene
 from gelsim.shape.mesh_file import read_part
-from gelsim.shape.shapes import first_touch, load_mesh
+from gelsim.shape.shapes import first_touch, load_mesh, sharp_edges
 from gelsim.views.inspection import inspect
 
 quiet_warp()
@@ -180,6 +180,54 @@ def test_a_soft_part_is_repaired_only_when_asked(tmp_path: Path) -> None:
     part = read_part(replace(soft, mesh_repair=True))
     assert enclosed_volume(part.surface) == pytest.approx(64e-9, rel=1e-6)
     assert part.done["closed_holes"] == 1 and part.done["closed_area_mm2"] == 8.0 and "mesh_repair" in part.notes[0]
+
+
+# ---------------------------------------------------------------------------------------------------------------- slits: no area is missing
+def cube_with_a_split_edge(path: Path, closed: bool = False, fin: bool = False) -> Path:
+    """A cube of which one face at an edge has a vertex in the edge's middle, the other not: `closed` by a triangle without area.
+
+    With a `fin`, two faces back to back, below it.
+    """
+    box = trimesh.creation.box((4, 4, 4))
+    vertices, faces = np.array(box.vertices), np.array(box.faces).tolist()
+    low = [sorted(set(one) & set(two)) for one, two in box.faces[box.face_adjacency]]
+    a, b = next((a, b) for a, b in low if vertices[a, 2] == vertices[b, 2] == -2.0 and np.abs(vertices[a] - vertices[b]).sum() == 4.0)
+    number = next(i for i, face in enumerate(faces) if {a, b} <= set(face))
+    first = next(k for k in range(3) if faces[number][k] not in (a, b))
+    top, begin, end = (faces[number][(first + step) % 3] for step in range(3))
+    faces[number : number + 1] = [[top, begin, 8], [top, 8, end]]
+    faces += [[begin, end, 8]] if closed else []
+    vertices = np.vstack([vertices, (vertices[a] + vertices[b]) / 2])
+    if fin:
+        vertices = np.vstack([vertices, [[0.0, 0.0, -2.0], [1.0, 0.0, -3.0], [2.0, 0.0, -2.0]]])
+        faces += [[9, 10, 11], [11, 10, 9]]
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+    return path
+
+
+def test_a_slit_is_sewn_when_rigid_and_when_a_soft_part_is_to_be_repaired(tmp_path: Path) -> None:
+    """Sewn, not closed by a fan: its triangles would have no normal, so that the edge would not be one of the sharp ones."""
+    path, whole = cube_with_a_split_edge(tmp_path / "slit.stl"), tmp_path / "cube.stl"
+    trimesh.creation.box((4, 4, 4)).export(whole)
+    soft = Body(shape="mesh", mesh=str(path), shore_00=30.0)
+    with pytest.raises(SceneError, match=r"not closed \(3 open edges, holes: 1\).*mesh_repair = true.*rigid = true"):
+        read_part(soft)
+    for body in (rigid(path), replace(soft, mesh_repair=True)):
+        part = read_part(body)
+        assert part.done["sewn_faces"] == 1 and "3 open edges, slits without area" in part.notes[0] and len(part.notes) == 1
+        assert enclosed_volume(part.surface) == pytest.approx(64e-9)
+        assert np.linalg.norm(np.diff(sharp_edges(body), axis=1), axis=2).sum() == pytest.approx(8 * 4 * MM)
+    assert pressed(rigid(path)).force[-1, 2] == pytest.approx(pressed(rigid(whole)).force[-1, 2], rel=1e-3)
+    assert mesh_object(Scene(object=replace(soft, mesh_repair=True), fidelity="fast", press=Press(depth_mm=0.3))).tets.size
+
+
+def test_what_slivers_close_is_closed_and_a_fin_is_nothing(tmp_path: Path) -> None:
+    """Left out without another word, the sliver left three open edges, and a fin hung below the part as its apex."""
+    soft = Body(shape="mesh", mesh=str(cube_with_a_split_edge(tmp_path / "sliver.off", closed=True, fin=True)), shore_00=30.0)
+    for body in (soft, replace(soft, shore_00=None, rigid=True)):
+        part = read_part(body)
+        assert part.done["open_edges"] == 0 and part.done["faces_back_to_back"] == 2 and part.notes == ()
+        assert part.done["apex_mm"] == [0.0, 0.0, -2.0] and enclosed_volume(part.surface) == pytest.approx(64e-9)
 
 
 # ---------------------------------------------------------------------------------------------------------------- row 11: size
