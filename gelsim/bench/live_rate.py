@@ -7,23 +7,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from gelsim.bench.live import scene_of
+from gelsim.bench.live_presses import THICKNESS_MM
 from gelsim.bench.section import Case, Options, Row, Section
 from gelsim.errors import SolveStatus
 from gelsim.live.sensor import LiveSensor
+from gelsim.scene.layers import build_scene
 from gelsim.units import MM
 
 WALK = 40
 
 
 def _rate(friction: float, *, image: bool = False, look: bool = True) -> Row:
-    scene = scene_of("ball R 8")
-    sensor = LiveSensor(scene.replace(contact=replace(scene.contact, friction_coefficient=friction)), image=image)
+    scene = build_scene({
+        "gel": {"profile": "flat", "thickness_mm": THICKNESS_MM},
+        "object": {"shape": "hemisphere", "radius_mm": 8.0, "height_mm": 12.0, "rigid": True},
+        "contact": {"friction_coefficient": friction},
+        "render": {"resolution": [320, 240]},
+    })  # fmt: skip
+    sensor = LiveSensor(scene, image=image)
     wall, busy, slowest = [], [], 0.0
     for walk in range(2):
         sensor.reset()

@@ -98,10 +98,11 @@ def dragged() -> Deformation:
     return _ball(False, 0.3, {"path": path, "frames": 2 * DRAGGED_FRAMES})
 
 
-def loop_area(press: Deformation) -> float:
-    """Work [J] of a rigid object that does not turn, from its recorded forces and places."""
-    way = press.object.displacement[:, 0]
-    return float((0.5 * (press.force[1:] + press.force[:-1]) * np.diff(way, axis=0)).sum())
+def loop_area(press: Deformation, first: int = 0, last: int | None = None) -> float:
+    """Work [J] of a rigid object that does not turn, from its recorded forces and places; from one state to another."""
+    states = slice(first, None if last is None else last + 1)
+    way, force = press.object.displacement[states, 0], press.force[states]
+    return float((0.5 * (force[1:] + force[:-1]) * np.diff(way, axis=0)).sum())
 
 
 def _hysteresis() -> tuple[float, float, float]:

@@ -10,12 +10,13 @@ import os
 import platform
 import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gelsim import fem
 from gelsim.bench import SECTIONS, report
-from gelsim.bench.section import Case, Options, Row, Section
+from gelsim.bench.section import KEPT_FOLDER, Case, Options, Row, Section
 from gelsim.errors import GelsimError, SolveStatus
 from gelsim.pipeline import stages
 from gelsim.tables import write_csv
@@ -41,7 +42,7 @@ def run(out: Path, options: Options | None = None, *, resume: bool = False, forc
         SceneError: `workers` is out of range, `out` holds results and neither `resume` nor `force` was given, or `page` has no
             place for a section.
     """
-    options = options or Options()
+    options = replace(options or Options(), kept=out / KEPT_FOLDER)
     check_count(workers)
     held = report.places(page) if page is not None else []
     asked = set(options.sections or held or SECTIONS)

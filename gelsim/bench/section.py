@@ -14,6 +14,8 @@ Layer = dict[str, Any]
 """Part of a scene, as a scene file has it."""
 
 DATA_VARIABLE = "GELSIM_DATA"
+KEPT_FOLDER = "kept"
+"""Folder in a run's results, of what sections keep."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class Options:
     quick: bool = False
     data: Path | None = field(default_factory=lambda: Path(os.environ[DATA_VARIABLE]) if DATA_VARIABLE in os.environ else None)
     """Folder of measured data of others, which the project does not hold."""
+    kept: Path = Path("out/bench") / KEPT_FOLDER
+    """Folder where a section keeps what took long, to measure anew; a run's lies in its results."""
 
 
 @dataclass(frozen=True)

@@ -102,14 +102,25 @@ def moved(ar: Arrays, st: Sizes, rest: Values, nodes: Values, field: Values) -> 
         column, row = (x - st.first[0]) * (1 / st.cell[0]) + rim, (y - st.first[1]) * (1 / st.cell[1]) + rim
         return grid_corners(ar, column, row, st.layer[0] + 2 * rim, st.layer[1] + 2 * rim, lane * 0)
 
+    def around(x: Values, y: Values) -> list[tuple[Values, Values]]:
+        """Index and weight of the sixteen cells about a place, as `layer.smooth_between` reads them."""
+        found = []
+        for at, first, cell, count in zip((x, y), st.first, st.cell, st.layer, strict=True):
+            place = ar.minimum(ar.maximum((at - first) * (1 / cell), 0.0), count - 1.0)
+            before = ar.whole(ar.minimum(place, count - 2.0))
+            steps = [ar.minimum(ar.maximum(before + i, 0), count - 1) for i in range(-1, 3)]
+            found.append(list(zip(steps, gel_layer.keys(place - ar.real(before)), strict=True)))
+        columns, rows = found
+        return [(lane * 0 + row * st.layer[0] + column, down * right) for row, down in rows for column, right in columns]
+
     def read(source: Values, at: list[tuple[Values, Values]], part: int = 0) -> Values:
         return sum(ar.gather(source, index + part * cells) * weight for index, weight in at)
 
     u, v = x, y
-    for _ in range(gel_layer.LOOKS):  # x = X + u_t(x)
-        at = corners(u, v, 0)
+    for look in range(gel_layer.LOOKS, 0, -1):  # x = X + u_t(x)
+        at = corners(u, v, 0) if look > 1 else around(u, v)
         u, v = x + read(field, at), y + read(field, at, 1)
-    z = z + read(field, corners(u, v, 0), 2) + read(rest, corners(u, v, RIM))
+    z = z + read(field, around(u, v), 2) + read(rest, corners(u, v, RIM))
     places = ar.stored(ar.interleave([u, v, z, nothing]))
 
     row = lane // st.columns

@@ -34,7 +34,9 @@ class Patch:
     shear: Array
     """Forces along x and y of the gel [N], shape (M, 2)."""
     slope: Array
-    """Of the gel at rest along x and y, shape (M, 2): a pressure p acts as p (slope, -1)."""
+    """Of the gel at rest along x and y, shape (M, 2): along its normal a small motion presses."""
+    lean: Array
+    """Slope that is pressed into it, likewise; it goes with what is stuck to it. A pressure p acts as p (slope + lean, -1)."""
     area: float
     """Of a cell [m²]."""
     friction: float
@@ -65,7 +67,8 @@ class Patch:
         per_kpa = self.area / KPA_PER_PA  # N
         bound = per_kpa * slip_bounds(self.friction, pressure / per_kpa)
         held = np.minimum(1.0, bound / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
-        return np.stack([held * x + pressure * self.slope[:, 0], held * y + pressure * self.slope[:, 1], -pressure])
+        rise_x, rise_y = (self.slope + self.lean).T
+        return np.stack([held * x + pressure * rise_x, held * y + pressure * rise_y, -pressure])
 
     @cached_property
     def _at_rest(self) -> Array:

@@ -9,9 +9,10 @@ One sensor, one rigid object. `gelsim.live.layer` has the mechanics, `gelsim.liv
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,9 +88,9 @@ class State:
     pressure: Values
     """[kPa], as all here over the window's rows and columns."""
     shear: Values
-    """(2, rows, columns) [kPa]."""
-    rest: Values
-    """Height of the gel at rest [mm]."""
+    """By friction, (2, rows, columns) [kPa]."""
+    gel: Values
+    """Height of the gel at rest [mm], over the whole grid."""
     moved: Values
     """Displacement (3, rows, columns) [mm] of what is now over a place."""
     dragged: Values
@@ -106,13 +107,28 @@ class State:
         x, y = self.window.layer.x[columns], self.window.layer.y[rows]
         return np.stack([x[column], y[row], (self.rest + self.moved[2])[row, column]]).T
 
+    @property
+    def rest(self) -> Values:
+        """Height of the gel at rest [mm]."""
+        return self.gel[self.place]
+
+    @cached_property
+    def slope(self) -> Values:
+        """Of the face along x and y, (2, rows, columns): pressure acts along its normal."""
+        return self.window.slope(self.rest + self.moved[2])
+
     @cached_property
     def field(self) -> Values:
         """Displacement over the whole grid [mm], (3, rows, columns)."""
         whole = self.window.layer.window(self.window.layer.shape, self.window.thickness)
         if self.pressure.size == 0:
             return np.zeros((3, *whole.shape), np.float32)
-        return whole.moved(self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape))
+        p, q = self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape)
+        level = _level(self.pressure, self.rest)
+        along, _ = self.window.bending(self.pressure, self.moved, self.moved[2] + (self.rest - level))
+        moved = whole.moved(p, q, self.over(along, whole.shape))
+        moved[:2] += whole.carried(moved, moved[2] + (self.gel - level))
+        return moved
 
     def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
         """Values of the window's cells over the whole grid; 0 elsewhere."""
@@ -156,9 +172,6 @@ class LiveSensor:
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
         self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape).astype(np.float32) * np.float32(MM_PER_M)
-        self._slope = np.stack(
-            [np.gradient(self._rest, cell, axis=axis) for axis, cell in ((1, self._layer.cell[0]), (0, self._layer.cell[1]))]
-        )
         self._object = Underside(scene.object)
         self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
         self._thinning = gel_layer.THINNING if self._friction else 0.0
@@ -181,7 +194,7 @@ class LiveSensor:
     def _release(self) -> None:
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
-        at_rest = nothing[0], nothing[:2], nothing[0], nothing, nothing[:2], nothing[:2]
+        at_rest = nothing[0], nothing[:2], self._rest, nothing, nothing[:2], nothing[:2]
         self._state = State(window, (slice(0, 0), slice(0, 0)), *at_rest)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
@@ -260,11 +273,13 @@ class LiveSensor:
             springs = np.zeros((touching.sum(), 2))
             springs[:, : len(found)] = found[:, touching].T * per_metre
             self._punched = state.window, touching, springs
+        at_rest = state.window.slope(state.rest)
         return Patch(
             state.points * MM,
             (state.pressure[touching] * cell).astype(float),
             (state.shear[:, touching].T * cell).astype(float),
-            self._slope[:, *state.place][:, touching].T.astype(float),
+            at_rest[:, touching].T.astype(float),
+            (state.slope - at_rest)[:, touching].T.astype(float),
             layer.cell[0] * layer.cell[1] * MM**2,
             self._friction,
             springs,
@@ -319,6 +334,7 @@ class LiveSensor:
             window = layer.window(p.shape, window.thickness)
             moved, dragged = window.moved(p, q), window.dragged(q)
         solved = not self._friction  # a flat face that goes along the gel changes its shear alone
+        bent, turned = np.zeros_like(moved[:2]), 0.0
         for _ in range(gel_layer.ROUNDS):
             before = p
             p, gap = gel_layer.pressure(window, room, p, room - moved[2])
@@ -327,7 +343,8 @@ class LiveSensor:
                 break
             thickness = gel.thickness_mm + float((p * (rest - self._thinning * (gap - room))).sum()) / total
             same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
-            if same and solved and float(np.linalg.norm(p - before)) < gel_layer.SETTLED * float(np.linalg.norm(p)):
+            settled = gel_layer.SETTLED * float(np.linalg.norm(p))
+            if same and solved and float(np.linalg.norm(p - before)) < settled and turned < settled:
                 break
             bound = slip_bounds(self._friction, p)
             held = gel_layer.bounded(q, bound)
@@ -335,15 +352,21 @@ class LiveSensor:
                 window = window if same else window.at(thickness)
                 moved = window.moved(p, held)
             if self._friction:
-                slip = moved[:2] - anchor
+                along, carried = window.bending(p, moved, moved[2] + (rest - _level(p, rest)))
+                last, bent = bent, window.dragged(along) + carried
+                turned = window.stiffness * float(np.linalg.norm((bent - last) * (p > 0)))
+                slip = moved[:2] + bent - anchor
                 q, left = gel_layer.shear(window, slip, bound, held, float(np.linalg.norm((slip - dragged) * (p > 0))))
                 dragged = dragged + left - slip
-                moved = np.stack([*(left + anchor), moved[2] + window.lifted(q - held)])
+                moved = np.stack([*(left + anchor - bent), moved[2] + window.lifted(q - held)])
                 solved = True
         if not (window is state.window and np.array_equal(p, state.pressure) and np.array_equal(q, state.shear)):
             moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * slip_bounds(self._friction, p)) ** 2
-        self._state = State(window, place, p, q, rest, moved, dragged, np.where(stuck, anchor, moved[:2]))
+        if self._friction:
+            along, carried = window.bending(p, moved, moved[2] + (rest - _level(p, rest)))
+            anchor = np.where(stuck, anchor, moved[:2] + window.dragged(along) + carried).astype(np.float32, copy=False)
+        self._state = State(window, place, p, q, self._rest, moved, dragged.astype(np.float32, copy=False), anchor)
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
@@ -365,8 +388,7 @@ class LiveSensor:
         area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
         touching = state.pressure > 0
         p = state.pressure[touching]
-        # Pressure acts along the normal of the gel at rest, as its work on a dome has it.
-        tangential = state.shear[:, touching] + p * self._slope[:, *state.place][:, touching]
+        tangential = state.shear[:, touching] + p * state.slope[:, touching]
         traction = (np.stack([*tangential, -p]).astype(np.float64) * area).T
         return LiveFrame(
             self.image() if self._draws else None,
@@ -396,14 +418,15 @@ class LiveSensor:
         """Contact pressure [Pa], (M,), on the material points of the surface that rest over places (M, 2) [m]."""
         state = self._state
         whole = state.over(state.pressure, self._layer.shape)
-        return self._read(whole, self._now_at(state, places)).astype(float) / KPA_PER_PA
+        return self._read(whole, self._now_at(state, places), gel_layer.between).astype(float) / KPA_PER_PA
 
     def _now_at(self, state: State, places: Array) -> Array:
         """Where on the grid [mm], (M, 2), the points that rest over places (M, 2) [m] have come to."""
         rest = places * MM_PER_M
         at = rest
-        for _ in range(gel_layer.LOOKS):  # x = X + u_t(x)
-            at = rest + self._read(state.field[:2], at).T
+        for look in range(gel_layer.LOOKS, 0, -1):  # x = X + u_t(x)
+            between = gel_layer.between if look > 1 else gel_layer.smooth_between
+            at = rest + self._read(state.field[:2], at, between).T
         return at
 
     def _displaced(self, state: State, places: Array) -> Array:
@@ -411,10 +434,15 @@ class LiveSensor:
         height = self._read(state.field[2], at) * MM + gel_height(self._scene.gel, at * MM)
         return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
 
-    def _read(self, values: Values, at: Array) -> NDArray[np.floating]:
+    def _read(self, values: Values, at: Array, between: Callable = gel_layer.smooth_between) -> NDArray[np.floating]:
         """Of the grid, (..., M), at places (M, 2) [mm]."""
         layer = self._layer
-        return gel_layer.between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
+        return between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
+
+
+def _level(pressure: Values, rest: Values) -> Any:
+    """Height of the gel at rest [mm] where the pressure's centre is."""
+    return np.float32((pressure * rest).sum() / max(float(pressure.sum()), 1e-30))
 
 
 def check_scene(scene: Scene, who: str, instead: str) -> None:
