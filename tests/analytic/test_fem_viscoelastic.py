@@ -247,8 +247,8 @@ def test_what_a_failed_search_for_the_force_leaves(monkeypatch: pytest.MonkeyPat
 
     attempt, tried = quasistatic._March._attempt, []
 
-    def fails_in_the_search(march: quasistatic._March, here: quasistatic._State, new: float, approach: float):  # type: ignore[no-untyped-def]
-        if (yield from attempt(march, here, new, approach)) and not tried:
+    def fails_in_the_search(march, here, new, approach, **how):  # type: ignore[no-untyped-def]
+        if (yield from attempt(march, here, new, approach, **how)) and not tried:
             tried.append(new)
             return True
         tried.append(new)

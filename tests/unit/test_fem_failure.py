@@ -119,9 +119,9 @@ def test_steps_begin_short_and_double_while_they_are_easy(monkeypatch: pytest.Mo
     """Two states 0.6 mm apart: from 0.25 mm, and half of that where the first fails, twice as long after two steps, and what is left."""
     attempt, steps = quasistatic._March._attempt, []  # pyright: ignore[reportPrivateUsage]
 
-    def first_fails(march, here, new, approach):  # type: ignore[no-untyped-def]
+    def first_fails(march, here, new, approach, **how):  # type: ignore[no-untyped-def]
         steps.append(round((approach - here.approach) / MM, 6))
-        return len(steps) > fails and (yield from attempt(march, here, new, approach))
+        return len(steps) > fails and (yield from attempt(march, here, new, approach, **how))
 
     monkeypatch.setattr(quasistatic._March, "_attempt", first_fails)  # pyright: ignore[reportPrivateUsage]
     scene = ball_scene(1.2, 3, radius_mm=5.0)
@@ -149,11 +149,11 @@ def test_a_press_says_what_it_ended_at(
     """A ball to 0.01 N, to more than it ever carries, and with no equilibrium to be found beyond 0.4 mm. All "converge"."""
     attempt = quasistatic._March._attempt  # pyright: ignore[reportPrivateUsage]
 
-    def ends(march, here, new, approach):  # type: ignore[no-untyped-def]
+    def ends(march, here, new, approach, **how):  # type: ignore[no-untyped-def]
         if approach / MM > farthest_mm + 1e-9:
             march.status = SolveStatus.MAX_ITERATIONS
             return False
-        return (yield from attempt(march, here, new, approach))
+        return (yield from attempt(march, here, new, approach, **how))
 
     monkeypatch.setattr(quasistatic._March, "_attempt", ends)  # pyright: ignore[reportPrivateUsage]
     monkeypatch.setattr(quasistatic, "furthest_approach", lambda scene: 0.6 * MM)
@@ -171,12 +171,12 @@ def test_a_force_that_was_passed_is_looked_for_in_shorter_steps(monkeypatch: pyt
     """Of the looks for the force the first fails. Where no step may be shorter the press ends beyond it, and says so."""
     attempt, passed = quasistatic._March._attempt, [0]  # pyright: ignore[reportPrivateUsage]
 
-    def first_look_fails(march, here, new, approach):  # type: ignore[no-untyped-def]
+    def first_look_fails(march, here, new, approach, **how):  # type: ignore[no-untyped-def]
         if passed == [1]:
             passed[0] += 1
             yield from march._return_to(here, 2.0)
             return False
-        found = yield from attempt(march, here, new, approach)
+        found = yield from attempt(march, here, new, approach, **how)
         passed[0] += not passed[0] and -march.problem.contact_force()[2] > 0.05
         return found
 
@@ -204,9 +204,9 @@ def test_a_press_to_a_force_ends_where_the_object_gives_way(
     attempt, force = quasistatic._March._attempt, PressProblem.contact_force  # pyright: ignore[reportPrivateUsage]
     at, most = [0.0], [0.0]
 
-    def ends(march, here, new, approach):  # type: ignore[no-untyped-def]
+    def ends(march, here, new, approach, **how):  # type: ignore[no-untyped-def]
         at[0] = approach / MM
-        return approach / MM <= lost_beyond_mm and (yield from attempt(march, here, new, approach))
+        return approach / MM <= lost_beyond_mm and (yield from attempt(march, here, new, approach, **how))
 
     def gives_way(problem: PressProblem) -> Array:
         found = force(problem)
@@ -241,7 +241,8 @@ def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.
 
     def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
         report = solve(newton, reach, tolerance, solving)
-        exact[0] = exact[0] + 1 if solving and tolerance is None else exact[0] if not solving else 0
+        fine = tolerance is None or tolerance < quasistatic.ROUGH_TOLERANCE
+        exact[0] = exact[0] + 1 if solving and fine else exact[0] if not solving else 0
         if not solving or exact[0] < 2:
             return report
         lost[0] += 1
@@ -295,7 +296,7 @@ def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
     halved = []
     for most in (7, 600):
         problem = problem_of(scene, gel, rigid_body(scene, gel))
-        problem.newton.options = NewtonOptions(tolerance=1e-30, max_iterations=3)
+        problem.options = problem.newton.options = NewtonOptions(tolerance=1e-30, max_iterations=3)
         problem.most_wasted = most
         press = run_press(problem, throw=False)
         assert press.status is SolveStatus.MAX_ITERATIONS
