@@ -43,6 +43,8 @@ _LARGEST = {"rigid": 10.0, "soft": 100e-3}
 """Largest extent [m]: of a soft object everything is meshed, of a rigid one only what lies over the gel counts."""
 _SEWN_WITHIN = 1e-6
 """Of the largest extent: how far a vertex may be from an edge that it lies on. STL's numbers are rounded at 6e-8 of theirs."""
+_MOST_SEWN = 10_000_000
+"""Pairs of edge and vertex that are looked at: where a file asks for more, what is open is closed as a hole, and memory stays bounded."""
 _THIN_ABOVE = 20_000
 _THIN_TOLERANCE = 5e-6
 """A finer mesh is thinned as long as its surface moves less than this [m]: a quarter of the overlap that a press may show."""
@@ -318,7 +320,10 @@ def _sewn(vertices: Array, faces: Faces) -> tuple[Faces, int]:
         corners = np.unique(rim)
         begin, along = vertices[rim[:, 0]], np.diff(vertices[rim], axis=1)[:, 0]
         length = np.linalg.norm(along, axis=1)
-        near = KDTree(vertices[corners]).query_ball_point(begin + along / 2, length / 2 + within)
+        places_of, reach = KDTree(vertices[corners]), (begin + along / 2, length / 2 + within)
+        if places_of.query_ball_point(*reach, return_length=True).sum() > _MOST_SEWN:
+            break
+        near = places_of.query_ball_point(*reach)
         edge, corner = np.repeat(np.arange(len(rim)), [len(one) for one in near]), corners[np.concatenate(near).astype(np.int64)]
         away = vertices[corner] - begin[edge]
         share = (away * along[edge]).sum(axis=1) / np.maximum(length[edge], 1e-300) ** 2

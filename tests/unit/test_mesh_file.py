@@ -19,6 +19,7 @@ from gelsim.mesh.body_mesh import mesh_object
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Body, Gel, Press, Scene
+from gelsim.shape import mesh_file
 from gelsim.shape.mesh_file import read_part
 from gelsim.shape.shapes import first_touch, load_mesh, sharp_edges
 from gelsim.views.inspection import inspect
@@ -219,6 +220,13 @@ def test_a_slit_is_sewn_when_rigid_and_when_a_soft_part_is_to_be_repaired(tmp_pa
         assert np.linalg.norm(np.diff(sharp_edges(body), axis=1), axis=2).sum() == pytest.approx(8 * 4 * MM)
     assert pressed(rigid(path)).force[-1, 2] == pytest.approx(pressed(rigid(whole)).force[-1, 2], rel=1e-3)
     assert mesh_object(Scene(object=replace(soft, mesh_repair=True), fidelity="fast", press=Press(depth_mm=0.3))).tets.size
+
+
+def test_what_would_take_too_long_to_sew_is_closed_as_a_hole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mesh_file, "_MOST_SEWN", 0)
+    part = read_part(rigid(cube_with_a_split_edge(tmp_path / "slit.stl")))
+    assert "sewn_faces" not in part.done and part.done["closed_holes"] == 1
+    assert enclosed_volume(part.surface) == pytest.approx(64e-9)
 
 
 def test_what_slivers_close_is_closed_and_a_fin_is_nothing(tmp_path: Path) -> None:
