@@ -59,6 +59,7 @@ BOUNDS: dict[str, tuple[str, tuple[float, float, float]]] = {
 """What is asked, by `SHARES`: at most so much, of pictures at least."""
 WANTED = 0.9
 """Of the presses."""
+COMMAND = "`gelsim bench --only live`"
 WORST = 10
 
 BALL: Layer = {"shape": "hemisphere", "radius_mm": 5.0, "height_mm": 12.0, "rigid": True}
@@ -276,7 +277,7 @@ def _listed(rows: list[Row]) -> list[Row]:
 
 def _remarks(rows: list[Row]) -> str:
     live = _of_live(rows)
-    lines = [f"Above: the {WORST} worst, by the largest error over its bound.", ""]
+    lines = [f"Above: the {WORST} worst, by the largest error over its bound. Of all that have finite elements ({COMMAND}):", ""]
     lines += table(
         (
             ("depth / thickness", "share"), ("", "what"), ("bound", "bound"), ("within", "within"), ("median", "median"),
@@ -288,6 +289,7 @@ def _remarks(rows: list[Row]) -> str:
     lines += ["", f"{len(ended)} of {len(live)} rows have no finite elements: {'; '.join(ended) or 'none'}."]
     loops = [row for row in rows if "work_uj" in row]
     if loops:
+        lines[-1] += f" Loops ({COMMAND}):"
         columns = (("way", "name"), (f"work, {TRUTH} [µJ]", "work_uj"), ("live [µJ]", "live_uj"), ("off [%]", "work_percent"))
         lines += ["", *table(columns, loops)]
     return "\n".join(lines)

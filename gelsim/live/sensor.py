@@ -365,8 +365,9 @@ class LiveSensor:
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * slip_bounds(self._friction, p)) ** 2
         if self._friction:
             along, carried = window.bending(p, moved, moved[2] + (rest - _level(p, rest)))
-            anchor = np.where(stuck, anchor, moved[:2] + window.dragged(along) + carried).astype(np.float32, copy=False)
-        self._state = State(window, place, p, q, self._rest, moved, dragged.astype(np.float32, copy=False), anchor)
+            anchor = np.where(stuck, anchor, moved[:2] + window.dragged(along) + carried)
+        dragged, anchor = dragged.astype(np.float32, copy=False), anchor.astype(np.float32, copy=False)
+        self._state = State(window, place, p, q, self._rest, moved, dragged, anchor)
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
