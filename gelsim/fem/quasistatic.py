@@ -51,9 +51,6 @@ Record = Callable[[PressProblem], Recorder]
 
 MAX_AUGMENTATIONS = 3  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
-# Times Newton's tolerance is enough where a march only passes through, for neither record nor force. Ball at `fast`, two states, 13.6
-# iterations with 1: 12.2 with 10 (forces 0.005 % off), 11.7 with 30 (0.01 %), 10.6 with 100 (0.1 %); a nut 38.6, 35.1, 31.0, 29.3.
-PASSED = 30.0
 OVERLAP_MM = 15e-3  # overlap above which another augmentation is tried; the steps that follow lessen it too
 CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no answer; sharp rims into `fast` meshes keep up to that
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
@@ -282,7 +279,7 @@ class _March:
             new = target if target - (here.time + step) < 1e-6 * spacing else here.time + step
             if self.halved:
                 new = min(new, self._nearly_at_force())
-            if not (yield from self._attempt_step(here, new, new < target)):
+            if not (yield from self._attempt_step(here, new)):
                 if self._gives_way(1 - FORCE_TOLERANCE) or self._out_of_reach():
                     return self._end_here(progress)
                 step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
@@ -395,14 +392,12 @@ class _March:
         if progress is not None:
             progress(len(self.recorder.approach), len(self.way.recorded))
 
-    def _attempt_step(self, here: _State, new: float, passed: bool) -> Generator[Request, NewtonReport, bool]:
-        """`_attempt` at a time [s] of the leg that it stands on, driven as that is; `passed`: where nothing is recorded."""
+    def _attempt_step(self, here: _State, new: float) -> Generator[Request, NewtonReport, bool]:
+        """`_attempt` at a time [s] of the leg that it stands on, driven as that is."""
         approach, force, _, _ = self.way.at(self._leg, new)
         if self.way.by_force[self._leg]:
             return (yield from self._meet_force(here, new, force))
-        for_its_force = self.stop_n is not None and self._leg == 1
-        tolerance = PASSED * self.problem.options.tolerance if passed and not for_its_force else None
-        return (yield from self._attempt(here, new, approach / MM_PER_M, tolerance=tolerance))
+        return (yield from self._attempt(here, new, approach / MM_PER_M))
 
     def _meet_force(self, here: _State, new: float, wanted: float) -> Generator[Request, NewtonReport, bool]:
         """Solves at a time [s] with the approach at which the normal force is `wanted`, FIRST_STEP away from `here` at most.
@@ -440,10 +435,8 @@ class _March:
         yield from self._return_to(here, LOOKED_MM + 2 * FIRST_STEP * MM_PER_M)
         return False
 
-    def _attempt(
-        self, here: _State, new: float, approach: float, *, tolerance: float | None = None, again: bool = False
-    ) -> Generator[Request, NewtonReport, bool]:
-        """Solves at a time `new` [s] and an approach [m], from `here`, to Newton's `tolerance`; where that fails everything is put back.
+    def _attempt(self, here: _State, new: float, approach: float, *, again: bool = False) -> Generator[Request, NewtonReport, bool]:
+        """Solves at a time `new` [s] and an approach [m], from `here`; where that fails everything is put back.
 
         In a press's later tries a failure is tried `again` without the state before `here`: where a point at a soft tip has just changed
         face, extrapolating its motion throws it onto the next one. What that finds with one body through the other (CUT_MM) is no answer.
@@ -463,7 +456,7 @@ class _March:
                 break
             before = (problem.solids.state(), contact.save(), report) if number > 0 or contact.can_tie else None
             contact.augment()
-            report = yield Request(reach, tolerance)
+            report = yield Request(reach)
             self._count(report)
             if before is not None and contact.can_tie and report.status is not SolveStatus.CONVERGED:
                 # once more, without what parts letting go at once
@@ -472,7 +465,7 @@ class _March:
                 contact.restore(before[1])
                 yield Request(reach, solve=False)
                 contact.augment(tie_at=problem.solids.positions())
-                report = yield Request(reach, tolerance)
+                report = yield Request(reach)
                 self._count(report)
             if before is not None and number > 0 and report.status is not SolveStatus.CONVERGED:
                 # what was to have less overlap is lost, the equilibrium before it is not
@@ -497,7 +490,7 @@ class _March:
         self.message = f"at approach {approach * MM_PER_M:.4g} mm after {report.iterations} iterations, residual {report.residual:.2g}"
         yield from self._return_to(here, reach)
         if extrapolated and problem.held and report.status is not SolveStatus.CONVERGED:
-            return (yield from self._attempt(here, new, approach, tolerance=tolerance, again=True))
+            return (yield from self._attempt(here, new, approach, again=True))
         return False
 
     def _state(self, time: float, approach: float, seconds: float = 0.0) -> _State:
