@@ -28,6 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, gmres
 from threadpoolctl import ThreadpoolController
 
 _MTYPE_SYMMETRIC_INDEFINITE = -2
@@ -220,7 +221,7 @@ class SymmetricSystem:
     # C couples few points: some ten iterations. Where they fall short the step is inexact, and Newton corrects it.
     KRYLOV_TOLERANCE = 1e-3
     KRYLOV_LIMIT = 20
-    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the solves of a step above which the next gets new
+    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
     # factors. On one core, in three dimensions, these cost 20 to 40 products.
     FORCING = 0.03
     WORN = 13
@@ -278,11 +279,6 @@ class SymmetricSystem:
         self.factorise()
         return self._direct(b)
 
-    def _old(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
-        """M⁻¹ b, M being what was factorised last."""
-        self.solves += 1
-        return self.direct.solve(b)
-
     def step(self, b: NDArray[np.float64], coupling: Product | None, exact: bool) -> NDArray[np.float64]:
         """x of the last K as Newton needs it: roughly, by GMRES on factors of an earlier K, or as `solve` on new ones.
 
@@ -292,15 +288,17 @@ class SymmetricSystem:
         if self._fresh:
             return self.solve(b, coupling)
         if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
-            before = self.solves
+            before, start = self.solves, self.direct.solve(b)
 
             def preconditioned(v: NDArray[np.float64]) -> NDArray[np.float64]:
+                self.solves += 1
                 product = self.product(v)
-                return self._old(product if coupling is None else product + coupling(v))
+                return self.direct.solve(product if coupling is None else product + coupling(v))
 
-            x, left = gmres(preconditioned, self._old(b), self.FORCING, self.KRYLOV_LIMIT)
+            operator = LinearOperator((len(b), len(b)), matvec=preconditioned, dtype=b.dtype)  # type: ignore[call-arg]
+            x, failed = gmres(operator, start, rtol=self.FORCING, restart=self.KRYLOV_LIMIT, maxiter=1)
             self._worn = self.solves - before > self.WORN
-            if left <= self.FORCING:
+            if not failed:
                 return x
         self.factorise()
         if exact:
@@ -335,35 +333,8 @@ class SymmetricSystem:
         def coupled(v: NDArray[np.float64]) -> NDArray[np.float64]:
             return v + self._direct(coupling(v))
 
-        return gmres(coupled, x, self.KRYLOV_TOLERANCE, self.KRYLOV_LIMIT)[0]
-
-
-def gmres(product: Product, b: NDArray[np.float64], tolerance: float, limit: int) -> tuple[NDArray[np.float64], float]:
-    """x with |b - A x| <= tolerance |b|, or the best of `limit` products A v; and what is left of |b|. Begins at 0.
-
-    SciPy's multiplies once more, to look at what is left: here a product is a solve. What is left is known: the least |e₁ - H y| of the
-    Hessenberg H (k+1, k) is 1/|z|, of the z with zᵀH = 0 and z₀ = 1. Gram and Schmidt's sums are done once, as in krylov.py.
-    """
-    size = float(np.linalg.norm(b))
-    if not 0.0 < size < np.inf:
-        return b.copy(), 0.0 if size == 0.0 else np.inf
-    basis, hessenberg, z = np.empty((limit + 1, len(b))), np.zeros((limit + 1, limit)), np.zeros(limit + 1)
-    basis[0], z[0], left = b / size, 1.0, 1.0
-    for k in range(limit):
-        new = product(basis[k])
-        hessenberg[: k + 1, k] = along = basis[: k + 1] @ new
-        new -= along @ basis[: k + 1]
-        hessenberg[k + 1, k] = rest = float(np.linalg.norm(new))
-        left = 0.0 if rest == 0.0 else np.inf
-        if rest > 0.0:
-            basis[k + 1], z[k + 1] = new / rest, -float(z[: k + 1] @ along) / rest
-            left = 1.0 / float(np.linalg.norm(z[: k + 2]))
-        if left <= tolerance or left == np.inf:
-            break
-    first = np.zeros(k + 2)
-    first[0] = size
-    y = np.linalg.lstsq(hessenberg[: k + 2, : k + 1], first)[0] if np.isfinite(hessenberg).all() else np.full(k + 1, np.nan)
-    return y @ basis[: k + 1], left
+        operator = LinearOperator((len(b), len(b)), matvec=coupled, dtype=b.dtype)  # type: ignore[call-arg]
+        return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]
 
 
 class BatchedSystem:
