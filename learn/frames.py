@@ -101,12 +101,14 @@ def loading(signal: NDArray[np.floating], config: InputConfig, end_share: float 
     return np.arange(over[0], max(end, over[0]) + 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Found:
     """Which of a video's frames is the gel untouched, and from which on it is pressed."""
 
     rest: int
     begin: int
+    signal: NDArray[np.float64]
+    """Of all frames, against the gel untouched."""
     note: str = ""
     """What was found other than a press from rest."""
 
@@ -121,7 +123,7 @@ def find_press(pictures: NDArray[np.floating], inputs: InputConfig, rest: NDArra
     """
     signal, plainest, words = change_signal(pictures, pictures[0] if rest is None else rest, inputs.deadband_levels), 0, []
     if signal.max() <= inputs.contact_levels:
-        return Found(0, 0)
+        return Found(0, 0, signal)
     if rest is None:
         plain = int(np.argmin([structure(picture) for picture in pictures]))
         from_plain = change_signal(pictures, pictures[plain], inputs.deadband_levels)
@@ -136,11 +138,11 @@ def find_press(pictures: NDArray[np.floating], inputs: InputConfig, rest: NDArra
     low = np.flatnonzero(signal[:peak] <= LET_GO * signal[peak])
     before = np.flatnonzero(signal[: low[-1]] > PRESSED * signal[peak]) if len(low) else low
     if len(before) == 0:
-        return Found(plainest, 0, "; ".join(words))
+        return Found(plainest, 0, signal, "; ".join(words))
     begin = peak - 1 - int(np.argmin(signal[before[-1] : peak][::-1]))
     if not words:
         words.append(f"it shows several presses: the hardest was read, from frame {begin} on")
-    return Found(plainest, begin, "; ".join(words))
+    return Found(plainest, begin, signal, "; ".join(words))
 
 
 def structure(picture: NDArray[np.floating]) -> float:

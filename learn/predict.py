@@ -120,7 +120,8 @@ def predict(
             said = ensemble.read([press])
             mean, spread, distance = (float(part[0]) for part in (said.mean, said.spread, said.novelty))
             strange, odd_gel = distance > 1, ensemble.strange_gel(press.gel)
-            untold = {GEL_UNTOLD: ensemble.asks_gel and not np.isfinite(press.gel).all(), SCALE_UNTOLD: not press.scaled}
+            untold = [GEL_UNTOLD] if ensemble.asks_gel and not np.isfinite(press.gel).all() else []
+            untold += [] if press.scaled else [SCALE_UNTOLD]
             yield {
                 "source": source.name,
                 "status": "ok",
@@ -130,9 +131,7 @@ def predict(
                 "novelty": distance if np.isfinite(distance) else None,
                 "unlike_training": strange or bool(odd_gel),
                 "true": source.true,
-                "note": _note(
-                    source, mean, distance if strange else None, [*odd_gel, *(words for words, is_so in untold.items() if is_so)]
-                ),
+                "note": _note(source, mean, distance if strange else None, odd_gel + untold),
             }
 
 

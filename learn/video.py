@@ -115,7 +115,7 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
     except LearnError as error:
         raise LearnError(f"{path}: {error}") from None
     rest = pictures[found.rest] if given_rest is None else given_rest
-    signal = change_signal(pictures, rest, inputs.deadband_levels)
+    signal = found.signal
     if scale is not None:  # where the contact is, is known once all has been read: it is read again
         centre = contact_centre(pictures[found.begin :], rest, signal[found.begin :], inputs.deadband_levels)
 

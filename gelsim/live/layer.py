@@ -328,14 +328,15 @@ class Window:
         found[:, :, 1] = xy * x[::-1, ::-1] + yy * y
         return self._back(found)
 
-    def bending(self, pressure: Values, moved: Values, height: Values) -> tuple[Values, Values]:
+    def bending(self, pressure: Values, moved: Values, rest: Values) -> tuple[Values, Values]:
         """What its own motion does to a face along itself, to second order: tractions [kPa] that act on it as if it were flat, and a motion
         beside theirs [mm], each (2, rows, columns).
 
         Args:
             pressure, moved: Of the face, and its displacement.
-            height: Of the face over where the pressure's centre was at rest [mm].
+            rest: Its height before [mm].
         """
+        height = moved[2] + (rest - level(pressure, rest))
         modulus: Any = np.float32(self.layer.material.shear_kpa)
         deepest = max(-float(moved[2].min(initial=0.0)), 0.0)
         rows, columns = (_blur(count, deepest / cell) for count, cell in zip(self.shape, self.layer.cell[::-1], strict=True))
@@ -347,7 +348,7 @@ class Window:
         return np.float32(BENT) * (pressure * self.slope(height) + by_x[:2] + by_y[1:]), self.carried(moved, height)
 
     def carried(self, moved: Values, height: Values) -> Values:
-        """Of `bending`, the motion."""
+        """Of `bending`, the motion, by the face's height over where the pressure's centre was at rest [mm]."""
         return np.float32(-BENT) * height * self.slope(moved[2])
 
     def slope(self, values: Any) -> Values:
@@ -480,6 +481,11 @@ def punch(window: Window, cells: NDArray[np.bool_], *, shear: bool) -> Values:
         before, size = size, size_of(left, left)
         way = left + size / np.maximum(before, least) * way
     return traction
+
+
+def level(pressure: Values, rest: Values) -> Any:
+    """Height of the gel at rest [mm] where the pressure's centre is."""
+    return np.float32((pressure * rest).sum() / max(float(pressure.sum()), 1e-30))
 
 
 def smooth_between(values: NDArray[np.floating], row: NDArray[np.float64], column: NDArray[np.float64]) -> NDArray[np.floating]:

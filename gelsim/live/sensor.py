@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -124,10 +124,9 @@ class State:
         if self.pressure.size == 0:
             return np.zeros((3, *whole.shape), np.float32)
         p, q = self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape)
-        level = _level(self.pressure, self.rest)
-        along, _ = self.window.bending(self.pressure, self.moved, self.moved[2] + (self.rest - level))
+        along, _ = self.window.bending(self.pressure, self.moved, self.rest)
         moved = whole.moved(p, q, self.over(along, whole.shape))
-        moved[:2] += whole.carried(moved, moved[2] + (self.gel - level))
+        moved[:2] += whole.carried(moved, moved[2] + (self.gel - gel_layer.level(self.pressure, self.rest)))
         return moved
 
     def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
@@ -352,7 +351,7 @@ class LiveSensor:
                 window = window if same else window.at(thickness)
                 moved = window.moved(p, held)
             if self._friction:
-                along, carried = window.bending(p, moved, moved[2] + (rest - _level(p, rest)))
+                along, carried = window.bending(p, moved, rest)
                 last, bent = bent, window.dragged(along) + carried
                 turned = window.stiffness * float(np.linalg.norm((bent - last) * (p > 0)))
                 slip = moved[:2] + bent - anchor
@@ -364,7 +363,7 @@ class LiveSensor:
             moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * slip_bounds(self._friction, p)) ** 2
         if self._friction:
-            along, carried = window.bending(p, moved, moved[2] + (rest - _level(p, rest)))
+            along, carried = window.bending(p, moved, rest)
             anchor = np.where(stuck, anchor, moved[:2] + window.dragged(along) + carried)
         dragged, anchor = dragged.astype(np.float32, copy=False), anchor.astype(np.float32, copy=False)
         self._state = State(window, place, p, q, self._rest, moved, dragged, anchor)
@@ -439,11 +438,6 @@ class LiveSensor:
         """Of the grid, (..., M), at places (M, 2) [mm]."""
         layer = self._layer
         return between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
-
-
-def _level(pressure: Values, rest: Values) -> Any:
-    """Height of the gel at rest [mm] where the pressure's centre is."""
-    return np.float32((pressure * rest).sum() / max(float(pressure.sum()), 1e-30))
 
 
 def check_scene(scene: Scene, who: str, instead: str) -> None:
