@@ -161,6 +161,7 @@ def _train(options: argparse.Namespace) -> int:
         raise LearnError("--init: a run that goes on has begun already; leave --init or --resume out")
     from learn import train
     from learn.predict import find_model
+    from learn.recordings import Reading
 
     init = find_model(options.init, "--init") if options.init else None
     if options.resume:
@@ -184,8 +185,8 @@ def _train(options: argparse.Namespace) -> int:
         print("VGG16 starts from random weights: no --vgg-weights were given (the paper starts from ImageNet)", file=sys.stderr)
     with console.progress_bars() as progress:
         report = train.train(
-            options.data, options.out, config, real=options.real, resume=options.resume, force=options.force, init=init,
-            vgg_weights=options.vgg_weights, device=options.device, cache=options.cache, plan=options.plan, progress=progress,
+            options.data, options.out, config, real=options.real, begin=train.Begin(init, options.vgg_weights), resume=options.resume,
+            force=options.force, reading=Reading(options.cache, progress, plan=options.plan, device=options.device),
         )  # fmt: skip
     if report:
         line = f"{options.out / 'model.pt'}: step {report['step']}"
@@ -206,14 +207,15 @@ def configure_from(config: Config, changes: dict[str, Any]) -> Config:
 def _evaluate(options: argparse.Namespace) -> int:
     from learn import evaluate
     from learn.predict import find_models
+    from learn.recordings import Reading
 
     models = find_models(options.model)
     out = options.out or models[0].parent / f"eval-{options.data.resolve().name}"
     with console.progress_bars() as progress:
         report = evaluate.evaluate(
-            models, options.data, out, rows=options.row, force=options.force, device=options.device, cache=options.cache,
-            workers=options.workers, baselines=not options.no_baselines, baselines_from=options.baselines_from, plan=options.plan,
-            progress=progress,
+            models, options.data, out, rows=options.row, force=options.force,
+            baselines_from=None if options.no_baselines else options.baselines_from or options.data,
+            reading=Reading(options.cache, progress, options.workers, options.plan, options.device),
         )  # fmt: skip
     print(json.dumps(evaluate.without_nan(report)) if options.json else evaluate.table(report) + f"\n{out}")
     return OK

@@ -12,6 +12,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from learn.config import InputConfig, LearnError
 from learn.data import held_presses
 from learn.ensemble import Ensemble
 from learn.estimate import pick_device
-from learn.recordings import CACHE, Archive, Progress, Reading, archive
+from learn.recordings import CACHE, PLAIN, Archive, Reading, archive
 from learn.splits import TEST_ROWS, TRAIN, VALIDATION, check_splits
 
 # Yuan et al., ICRA 2017, Table I and section V-B: videos, R², RMSE. It gives no numbers of natural objects.
@@ -50,29 +51,23 @@ FEWEST = 3
 """Presses that a baseline learns from."""
 
 
-def evaluate(  # noqa: PLR0913 - a keyword for each flag of its command
+def evaluate(
     models: Sequence[Path],
     data: Path,
     out: Path,
     *,
     rows: Sequence[str] = (),
     force: bool = False,
-    device: str = "auto",
-    cache: Path | None = None,
-    workers: int = 0,
-    baselines: bool = True,
     baselines_from: Path | None = None,
-    plan: str | None = None,
-    progress: Progress | None = None,
+    reading: Reading = PLAIN,
 ) -> dict[str, Any]:
     """Writes table.md, report.json, predictions.csv and plots into `out`.
 
     Args:
         models: Checkpoints; of several the readings are one (`learn.ensemble`).
         rows: Splits to test; empty: the paper's rows that the dataset has, `validation` when it has none.
-        cache: Of recordings; None: the run's own, where there is one. workers: Processes that fill it.
-        baselines: Also learn and test those. baselines_from: The dataset whose split `train` they learn from; None: `data`.
-        plan: Of a dataset without pictures that does not keep its own.
+        baselines_from: The dataset whose split `train` the baselines learn from, which may be `data`; None: there are none.
+        reading: Of recordings, and where the networks are; without a cache the first run's own is taken, where there is one.
     Returns:
         What report.json holds.
     Raises:
@@ -80,21 +75,21 @@ def evaluate(  # noqa: PLR0913 - a keyword for each flag of its command
     """
     if out.exists() and any(out.iterdir()) and not force:
         raise LearnError(f"--out {out}: exists; give --force to write over it")
-    dataset, ensemble = load_dataset(data), Ensemble(models, pick_device(device))
+    dataset, ensemble = load_dataset(data), Ensemble(models, pick_device(reading.device))
     check_splits(dataset.rows, dataset.splits)
-    teacher = (load_dataset(baselines_from) if baselines_from else dataset) if baselines else None
-    if teacher is not None and baselines_from and len(_known(teacher)) < FEWEST:
+    teacher = None if baselines_from is None else dataset if baselines_from == data else load_dataset(baselines_from)
+    if teacher is not None and teacher is not dataset and len(_known(teacher)) < FEWEST:
         raise LearnError(f"--baselines-from {baselines_from}: its split train has fewer than {FEWEST} presses of known hardness")
     chosen = list(rows) or [name for name in TEST_ROWS if dataset.splits.get(name)] or [VALIDATION]
     for name in chosen:
         if not dataset.splits.get(name):
             raise LearnError(f"eval: {data} has no split {name!r}; it has {', '.join(name for name in dataset.splits) or 'none'}")
     out.mkdir(parents=True, exist_ok=True)
-    if cache is None and (models[0].parent / CACHE).is_dir():
-        cache = models[0].parent / CACHE
+    own = models[0].parent / CACHE
+    cache = reading.cache or (own if own.is_dir() else None)
     scratch = Path(tempfile.mkdtemp(prefix="gelsim-learn-")) if cache is None else None
     try:
-        return _evaluate(dataset, ensemble, models, out, chosen, teacher, Reading(cache or scratch, progress, workers, plan, device))
+        return _evaluate(dataset, ensemble, models, out, chosen, teacher, replace(reading, cache=cache or scratch))
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)

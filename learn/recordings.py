@@ -171,7 +171,10 @@ class Reading:
     """Where pictures are drawn: on the CPU alone if "cpu", else on CUDA where that works, all of whose devices share the workers."""
 
 
-def archive(dataset: Dataset, indices: Sequence[int], inputs: InputConfig, reading: Reading | None = None) -> Archive:
+PLAIN = Reading()
+
+
+def archive(dataset: Dataset, indices: Sequence[int], inputs: InputConfig, reading: Reading = PLAIN) -> Archive:
     """Reads episodes and averages their pictures, which are drawn where they were left out.
 
     Args:
@@ -179,7 +182,6 @@ def archive(dataset: Dataset, indices: Sequence[int], inputs: InputConfig, readi
     Raises:
         DatasetError: An episode is damaged. SceneError, RenderError: Pictures cannot be drawn.
     """
-    reading = reading or Reading()
     wanted = [dataset.rows[dataset.positions[index]] for index in indices]
     rows = wanted if reading.cache is None else dataset.rows
     begins = np.cumsum([0] + [1 + row["frames"] for row in rows])

@@ -38,7 +38,7 @@ from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.logs import Curves
 from learn.model import Network, PaperNet, build, compile_convolutions, load_vgg, parameter_count
 from learn.novelty import fit_novelty, gel_range
-from learn.recordings import CACHE, Archive, Progress, Reading, archive
+from learn.recordings import CACHE, PLAIN, Archive, Progress, Reading, archive
 from learn.stream import Stream, share, varied
 
 NOVELTY_DRAWS = 500
@@ -69,29 +69,37 @@ class Place:
         return self.rank == 0
 
 
-def train(  # noqa: PLR0913 - a keyword for each flag of its command
+@dataclass(frozen=True)
+class Begin:
+    """What weights a run begins with; nothing: random ones."""
+
+    init: Path | None = None
+    """A checkpoint; the config must name the same network."""
+    vgg_weights: Path | None = None
+    """Of the paper's network: a file of VGG16's."""
+
+    def __str__(self) -> str:
+        return str(self.init.name) if self.init else f"VGG16 of {self.vgg_weights.name}" if self.vgg_weights else "random weights"
+
+
+def train(
     data: Path,
     out: Path,
     config: Config,
     *,
     real: Path | None = None,
+    begin: Begin = Begin(),
     resume: bool = False,
     force: bool = False,
-    init: Path | None = None,
-    vgg_weights: Path | None = None,
-    device: str = "auto",
-    cache: Path | None = None,
-    plan: str | None = None,
-    progress: Progress | None = None,
+    reading: Reading = PLAIN,
 ) -> dict[str, Any]:
     """Trains to `config.train.steps` and writes a run folder.
 
     Args:
         data: A dataset; its splits `train` and `validation` are used. real: A second one, mixed in at `config.train.real_ratio`.
         out: config.json, run.json, curves.*, tensorboard/, last.pt, model.pt, report.json, cache/.
-        init: A checkpoint to begin from; the config must name the same network.
-        cache: Of recordings, which several runs may share; None: the run's own.
-        plan: Of datasets without pictures that do not keep theirs.
+        reading: Of recordings, and where the training is; its cache may serve several runs, without one it is the run's own; its workers
+            are those of the config.
     Returns:
         What report.json holds.
     Raises:
@@ -99,9 +107,9 @@ def train(  # noqa: PLR0913 - a keyword for each flag of its command
         KeyboardInterrupt: After an interruption, when last.pt has been saved and the best network until then has its spread's factor.
     """
     began = time.perf_counter()
-    with _place(device) as place:
+    with _place(reading.device) as place:
         datasets = [load_dataset(path) for path in (data, real) if path is not None]
-        provenance = _provenance(datasets, init, vgg_weights)
+        provenance = _provenance(datasets, begin)
         # What can be refused before presses are read is refused before anything is written: nothing stands in a corrected command's way.
         share(0, config.train.batch, place.rank, place.world)
         divided = _divide(datasets, config)
@@ -109,11 +117,12 @@ def train(  # noqa: PLR0913 - a keyword for each flag of its command
         if resume and (out / "last.pt").is_file():
             begun = checkpoints.load(out / "last.pt")
         else:
-            network = _network(config, init, vgg_weights, datasets, divided)
+            network = _network(config, begin, datasets, divided)
             begun = Checkpoint(config, 0, network.state_dict(), provenance=provenance)
         if place.first:
             _open_run(out, config, provenance, resume, force)
-        reading = Reading(cache or out / CACHE, progress if place.first else None, config.train.workers, plan, device)
+        shown = reading.progress if place.first else None
+        reading = replace(reading, cache=reading.cache or out / CACHE, progress=shown, workers=config.train.workers)
         try:
             parts, presses = _gather(place, datasets, divided, config, reading)
             read = time.perf_counter() - began
@@ -252,8 +261,9 @@ def _average(averaged: Network, network: Network, step: int, most: float) -> Non
         kept.lerp_(now, 1 - decay)
 
 
-def _network(config: Config, init: Path | None, vgg: Path | None, datasets: list[Dataset], divided: list[Sides]) -> Network:
+def _network(config: Config, begin: Begin, datasets: list[Dataset], divided: list[Sides]) -> Network:
     """What a run begins with."""
+    init, vgg = begin.init, begin.vgg_weights
     if init is not None:
         begun = checkpoints.load(init)
         if (replace(begun.config.model, classes=config.model.classes), begun.config.input) != (config.model, config.input):
@@ -434,15 +444,14 @@ def read_run(out: Path) -> Config:
         raise LearnError(f"{out / 'config.json'}: cannot be read ({error})") from None
 
 
-def _provenance(datasets: list[Dataset], init: Path | None, vgg: Path | None) -> dict[str, Any]:
+def _provenance(datasets: list[Dataset], begin: Begin) -> dict[str, Any]:
     described = []
     for dataset in datasets:
         digest = hashlib.sha256(json.dumps([dataset.rows, dataset.splits], sort_keys=True).encode()).hexdigest()
         described.append(
             {"name": dataset.folder.resolve().name, "domain": dataset.info.get("domain"), "presses": len(dataset), "sha256": digest}
         )
-    start = str(init.name) if init else f"VGG16 of {vgg.name}" if vgg else "random weights"
-    return {"data": described, "begun_from": start, "versions": {"torch": str(torch.__version__), "python": platform.python_version()}}
+    return {"data": described, "begun_from": str(begin), "versions": {"torch": str(torch.__version__), "python": platform.python_version()}}
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

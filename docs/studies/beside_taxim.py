@@ -112,7 +112,7 @@ class Taxim:
 
 def ours(folder: Path, sensor: str, out: Path) -> tuple[list[np.ndarray], list[float]]:
     """Our pictures of the same presses, and their depths [mm]."""
-    report = comparison.compare(folder, out, sensor=sensor, force=True)
+    report = comparison.compare(folder, out, comparison.Drawing(sensor), force=True)
     photos = read_photos(folder)
     scene = build_scene({"sensor": {"preset": sensor}, "render": {"resolution": list(photos.size), "spp": comparison.SPP}})
     dents = solve_dents(scene.gel, effective_radius(photos.balls_mm, curvature_of(scene.gel)), True)
@@ -126,7 +126,7 @@ def scores(folder: Path, names: list[str], drawn: list[np.ndarray], out: Path) -
     out.mkdir(parents=True, exist_ok=True)
     for name, picture in zip(names, drawn, strict=True):
         Image.fromarray(np.rint(picture).astype(np.uint8)).save(out / name)
-    return comparison.compare(folder, out / "compare", frames=out, force=True)["scores"]
+    return comparison.compare(folder, out / "compare", out, force=True)["scores"]
 
 
 def main() -> None:

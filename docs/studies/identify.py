@@ -65,7 +65,7 @@ def record(folder: Path, case: dict[str, Any], truth: str) -> None:
         },
         {"camera": NOISE, "render": {"mode": "path", "resolution": [320, 240], "spp": 64}},
     )
-    stages.run(scene, folder, render_frames=True, force=True)
+    stages.run(scene, folder, force=True)
 
 
 def forces_of(folder: Path) -> Path:

@@ -75,7 +75,7 @@ def show(data: Path, photos_folder: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     pictures.draw_comparison(out / "rest.png", [*columns, ("mean colour", [flat])], captions)
     for name in PRESETS:
-        report = comparison.compare(photos_folder, out / name, sensor=name, force=True)
+        report = comparison.compare(photos_folder, out / name, comparison.Drawing(name), force=True)
         print(f"{name}, {len(report['presses'])} presses:", comparison.summary(report), sep="\n")
 
 

@@ -12,7 +12,7 @@ Place: where the pixel's ray meets the gel's surface at rest. Left out: a shape'
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,42 +52,46 @@ ROWS = 24
 SCORES = ("l1", "mse", "ssim", "psnr_db")
 
 
-def compare(  # noqa: PLR0913 - a keyword for each flag of its command
-    folder: Path, out: Path, *, sensor: str | None = None, frames: Path | None = None, friction: float | str = 0.8, mode: str = "path",
-    force: bool = False, device: str = "auto", progress: Progress | None = None,
-) -> dict[str, Any]:  # fmt: skip
+@dataclass(frozen=True)
+class Drawing:
+    """How presses are drawn: by a sensor (a preset or a sensor file), with this friction between object and gel, by this mode."""
+
+    sensor: str
+    friction: float | str = 0.8
+    mode: str = "path"
+
+
+def compare(
+    folder: Path, out: Path, drawn: Drawing | Path, *, force: bool = False, device: str = "auto", progress: Progress | None = None
+) -> dict[str, Any]:
     """Writes compare.png, compare.csv and report.json into `out`, and returns the report.
 
     Args:
         folder: Of photographs, as `calibrate.photos` describes.
-        sensor: A preset or a sensor file; or `frames`, a folder of pictures that were drawn (a result folder, or its frames/).
-        friction: Between object and gel.
-        mode: Of the renderer.
+        drawn: How their presses are drawn; or a folder of pictures that were (a result folder, or its frames/).
         force: Write over earlier files of these names.
     Raises:
         SceneError: Bad input, before anything is computed. SolveError: a press finds no equilibrium.
     """
     show = progress or (lambda stage, done, total: None)
-    if (sensor is None) == (frames is None):
-        raise SceneError("compare: give --sensor NAME, or --frames DIR with pictures that were drawn before")
     outputs.check_free(out, (out / name for name in ("compare.png", "compare.csv", "report.json")), force=force)
     photos = read_photos(folder)
     if not photos.files:
         raise SceneError(f"--photos {folder}: no photograph besides no_contact")
-    if frames is not None:
-        shown, rest = _drawn_before(frames, photos), None
+    if isinstance(drawn, Path):
+        shown, rest = _drawn_before(drawn, photos), None
         presses: list[dict[str, Any]] = [{} for _ in photos.files]
     else:
-        assert sensor is not None
-        scene = _scene(sensor, photos, friction, mode)
+        scene = _scene(drawn, photos)
         dents = _dents(scene, photos)
         presses = _presses(scene, photos, dents, device, show)
         membranes = [rest_membrane(scene), *_membranes(scene, photos, presses, dents, device, show)]
-        drawn = optics.render_frames(scene, membranes, device=device, progress=lambda done, total: show("render", done, total))
-        rest, *shown = (frame.image.astype(float) for frame in drawn)
+        frames = optics.render_frames(scene, membranes, device=device, progress=lambda done, total: show("render", done, total))
+        rest, *shown = (frame.image.astype(float) for frame in frames)
     rows = _rows(photos, presses, shown)
     report: dict[str, Any] = {
-        "out": str(out), "sensor": sensor, "frames": None if frames is None else str(frames), "presses": rows,
+        "out": str(out), "sensor": None if isinstance(drawn, Path) else drawn.sensor,
+        "frames": str(drawn) if isinstance(drawn, Path) else None, "presses": rows,
         "scores": {key: {name: float(np.mean([row[key][name] for row in rows])) for name in SCORES} for key in ("drawn", "no_contact")},
     }  # fmt: skip
     if rest is not None:
@@ -113,11 +117,11 @@ def summary(report: Mapping[str, Any]) -> str:
 # ---- what was pressed, where, how deep ----
 
 
-def _scene(sensor: str, photos: Photos, friction: float | str, mode: str) -> Scene:
+def _scene(drawn: Drawing, photos: Photos) -> Scene:
     """The sensor, drawn at the photographs' size, without noise."""
     scene = build_scene(
-        {"sensor": {"preset": sensor}, "contact": {"friction_coefficient": friction}, "press": {"depth_mm": 0.1}},
-        {"render": {"mode": mode, "spp": SPP, "resolution": list(photos.size)}},
+        {"sensor": {"preset": drawn.sensor}, "contact": {"friction_coefficient": drawn.friction}, "press": {"depth_mm": 0.1}},
+        {"render": {"mode": drawn.mode, "spp": SPP, "resolution": list(photos.size)}},
     )
     # A picture's expectation, not one of its draws, is compared.
     scene = without_noise(scene.replace(gel=photos.gel or scene.gel))

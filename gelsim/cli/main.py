@@ -381,15 +381,8 @@ def _run(options: argparse.Namespace, render: bool) -> dict[str, Any]:
     probe = getattr(options, "probe", None)
     from gelsim.pipeline import stages
 
-    run = partial(
-        stages.run,
-        render_frames=render,
-        force=options.force,
-        resume=options.resume,
-        device=options.device,
-        probe=Path(probe) if probe else None,
-        radiance=getattr(options, "exr", False),
-    )
+    wanted = stages.Wanted(render, getattr(options, "exr", False), Path(probe) if probe else None)
+    run = partial(stages.run, wanted=wanted, force=options.force, resume=options.resume, device=options.device)
     if options.poses:
         return _run_poses(options, scene, run, render)
     if options.workers is not None:
@@ -525,17 +518,13 @@ def _calibrate(options: argparse.Namespace) -> dict[str, Any]:
 def _compare(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim.calibrate import comparison
 
+    if (options.sensor is None) == (options.frames is None):
+        raise SceneError("compare: give --sensor NAME, or --frames DIR with pictures that were drawn before")
+    friction = _friction(options.friction)
+    drawn = Path(options.frames) if options.frames else comparison.Drawing(options.sensor, friction, options.mode)
     with progress_bars() as progress:
         report = comparison.compare(
-            Path(options.photos),
-            Path(options.out),
-            sensor=options.sensor,
-            frames=Path(options.frames) if options.frames else None,
-            friction=_friction(options.friction),
-            mode=options.mode,
-            force=options.force,
-            device=options.device,
-            progress=progress,
+            Path(options.photos), Path(options.out), drawn, force=options.force, device=options.device, progress=progress
         )
     if not options.json:
         print(comparison.summary(report))
@@ -633,13 +622,14 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
         raise SceneError("dataset: --sensor NAME goes with --light-of DIR or --real DIR; a plan says which sensors it has")
     if options.no_light and options.light_of is not None:
         raise SceneError("dataset: --no-light and --light-of exclude each other")
+    hands = generate.Hands(options.device, options.workers, options.ray)
     if options.light_of:
         from gelsim.generate.relight import relight
 
         with progress_bars() as progress:
             report = relight(
-                Path(options.light_of), options.sensor, Path(options.out), plan=options.plan, seed=options.seed,
-                workers=options.workers, ray=options.ray, resume=options.resume, device=options.device, progress=progress,
+                Path(options.light_of), options.sensor, Path(options.out), plan=options.plan, seed=options.seed, hands=hands,
+                resume=options.resume, progress=progress,
             )  # fmt: skip
         if not options.json:
             print(generate.summary(report))
@@ -649,16 +639,12 @@ def _dataset(options: argparse.Namespace) -> dict[str, Any]:
     with progress_bars() as progress:
         report = generate.generate(
             options.plan or "paper2017",
-            options.episodes,
+            generate.Extent(options.episodes, test=options.test_episodes, train=options.train_episodes),
             Path(options.out),
             seed=options.seed,
-            workers=options.workers,
-            ray=options.ray,
-            resume=options.resume,
-            device=options.device,
+            hands=hands,
             light=not options.no_light,
-            test_episodes=options.test_episodes,
-            train_episodes=options.train_episodes,
+            resume=options.resume,
             progress=progress,
         )
     if not options.json:
@@ -709,11 +695,8 @@ def _optimise(options: argparse.Namespace) -> dict[str, Any]:
     base = scene_table(_scene(options))
     with progress_bars() as progress:
         result = optimise.optimise(
-            goals,
-            bounds,
-            base,
+            optimise.Problem(goals, bounds, base, options.evaluations),
             Path(options.out or f"out/optimise-{goals[0].metric}"),
-            evaluations=options.evaluations,
             resume=options.resume,
             force=options.force,
             workers=options.workers,

@@ -23,7 +23,7 @@ from gelsim.generate import recording
 from gelsim.generate.done import Done
 from gelsim.generate.light import Studio, scene_of
 from gelsim.generate.plan import EPISODE, Catalogue, generator, load_plan
-from gelsim.generate.run import Book, Progress, crew_of, features, kept_plan, measure_lights, report_of, sensors_of, sums_of
+from gelsim.generate.run import HERE, Book, Hands, Progress, features, kept_plan, measure_lights, report_of, sensors_of, sums_of
 from gelsim.scene.definition import Scene
 from gelsim.scene.distributions import draw_fields
 from gelsim.scene.layers import build_scene, scene_table
@@ -33,17 +33,15 @@ SEEN = ("camera", "lights", "coating", "markers")
 """What the new sensor brings."""
 
 
-def relight(  # noqa: PLR0913 - a keyword for each flag of its command
+def relight(
     source: Path,
     sensor: str | None,
     out: Path,
     *,
     plan: str | None = None,
     seed: int = 0,
-    workers: int | None = None,
-    ray: str | None = None,
+    hands: Hands = HERE,
     resume: bool = False,
-    device: str = "cpu",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Makes a dataset of another sensor's pictures; returns what the command reports.
@@ -55,7 +53,7 @@ def relight(  # noqa: PLR0913 - a keyword for each flag of its command
     Raises:
         SceneError, DatasetError: as `gelsim.generate.run.generate`.
     """
-    crew = crew_of(workers, device, ray, solves=False)
+    crew = hands.crew(solves=False)
     data = load_dataset(source)
     if data.info.get("domain") != "sim":
         raise SceneError(f"--light-of {source}: its domain is {data.info.get('domain')!r}; only simulated episodes keep their mechanics")
@@ -79,7 +77,7 @@ def relight(  # noqa: PLR0913 - a keyword for each flag of its command
     before = len(data) - len(todo)
     book.write()
     if todo:
-        measure_lights([scene for scene in scenes if scene.render.mode == "baked"], device, progress)
+        measure_lights([scene for scene in scenes if scene.render.mode == "baked"], hands.device, progress)
 
         def lost(handful: Handful, status: str, message: str) -> Done:
             return Done(handful, failures=[
@@ -92,9 +90,9 @@ def relight(  # noqa: PLR0913 - a keyword for each flag of its command
         for position in todo:
             of_press.setdefault(data.rows[position]["mechanics"], []).append(position)
         handfuls = [tuple(positions) for positions in of_press.values()]
-        arguments = (source, sensor, name, seed, out, device)
+        arguments = (source, sensor, name, seed, out, hands.device)
         try:
-            for done in work_through(handfuls, crew, make_relighter, arguments, lost, still=device == "cuda"):
+            for done in work_through(handfuls, crew, make_relighter, arguments, lost, still=hands.device == "cuda"):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)

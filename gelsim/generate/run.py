@@ -11,6 +11,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -51,53 +52,103 @@ MANIFEST_SECONDS = 20.0
 VERSIONS_OF = ("gelsim", "numpy", "scipy", "mitsuba", "drjit", "warp-lang", "pytetwild")
 
 
-def generate(  # noqa: PLR0913 - a keyword for each flag of its command
+@dataclass(frozen=True)
+class Hands:
+    """Who makes a dataset."""
+
+    device: str = "cpu"
+    """Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers."""
+    workers: int | None = None
+    """Processes; by default one per core, two where GPUs solve."""
+    ray: str | None = None
+    """Address of a Ray cluster that works instead of this machine."""
+
+    def crew(self, solves: bool = True) -> Crew:
+        """Processes here, more of them where GPUs solve presses, or the cluster's. Raises SceneError."""
+        check_count(1 if self.workers is None else self.workers)
+        if self.device not in DEVICES:
+            raise SceneError(f"--device {self.device}: allowed for a dataset are {' and '.join(DEVICES)}")
+        if self.ray is not None:
+            from gelsim.work.cluster import RayCrew
+
+            return RayCrew(self.ray, self.workers, gpu=self.device == "cuda")
+        gpus = gpus_of(self.device)
+        count = os.cpu_count() or 1
+        if gpus:
+            from gelsim.fem import solves_on_gpu
+
+            count = min(count * (PER_CORE if solves and solves_on_gpu() else 1), PER_GPU * len(gpus))
+        return LocalCrew(self.workers or count, gpus=gpus)
+
+
+HERE = Hands()
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How many episodes a dataset has, counted from index 0. Raises SceneError."""
+
+    episodes: int
+    test: int | None = None
+    """Beyond this index no presses of test rows; None: all of them."""
+    train: int | None = None
+    """Beyond it none that are trained on or validated."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.episodes <= MOST_EPISODES:
+            raise SceneError(f"--episodes {self.episodes}: allowed is 1 … {MOST_EPISODES}")
+        for flag, most in (("test", self.test), ("train", self.train)):
+            if most is not None and most < 0:
+                raise SceneError(f"--{flag}-episodes {most}: expected 0 or more")
+
+    def presses(self, catalogue: Catalogue) -> dict[int, list[int]]:
+        """Numbers of the presses that it asks for, with the ends of each that are."""
+        ends = len(catalogue.plan.end_points)
+        # Beyond it a press must be drawn to know its split: milliseconds.
+        all_of = min(self.episodes if most is None else most for most in (self.test, self.train))
+
+        def is_asked(number: int) -> bool:
+            if number * ends < all_of:
+                return True
+            most = self.train if catalogue.press(number).split in SPLITS_LEARNT else self.test
+            return most is None or number * ends < most
+
+        return {
+            number: [end for end in range(ends) if number * ends + end < self.episodes]
+            for number in range(-(-self.episodes // ends))
+            if is_asked(number)
+        }
+
+
+def generate(
     plan: str,
-    episodes: int,
+    extent: Extent,
     out: Path,
     *,
     seed: int = 0,
-    workers: int | None = None,
-    ray: str | None = None,
-    resume: bool = False,
-    device: str = "cpu",
+    hands: Hands = HERE,
     light: bool = True,
-    test_episodes: int | None = None,
-    train_episodes: int | None = None,
+    resume: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Makes a dataset; returns what the command reports.
 
     Args:
         plan: Name of a plan that comes along, or path of a TOML file.
-        episodes: How many, counted from index 0; with `resume` it may be more than before.
-        workers: Processes; by default one per core, two where GPUs solve.
-        ray: Address of a Ray cluster that works instead of this machine.
-        device: Where presses are solved and their light is drawn: "cpu", or "cuda", all of whose devices share the workers.
+        extent: With `resume` it may be more than before.
+        hands: Who works; by default the cores of this machine.
         light: False leaves the pictures to `gelsim.generate.relight`: mechanics, labels and scenes only.
-        test_episodes, train_episodes: Beyond this index no presses of test rows, none that are trained on or validated; None: all.
     Raises:
         SceneError: The plan is wrong, or the folder holds something else. DatasetError, WorkError: it cannot be written, or nobody works;
             what was done is kept.
     """
     catalogue = Catalogue(load_plan(plan), seed)
-    if not 1 <= episodes <= MOST_EPISODES:
-        raise SceneError(f"--episodes {episodes}: allowed is 1 … {MOST_EPISODES}")
-    for flag, most in (("test", test_episodes), ("train", train_episodes)):
-        if most is not None and most < 0:
-            raise SceneError(f"--{flag}-episodes {most}: expected 0 or more")
-    crew = crew_of(workers, device, ray)
+    crew = hands.crew()
     start = time.perf_counter()
     info = _info(catalogue, light)
     book = Book(out, info, resume)
     ends = len(catalogue.plan.end_points)
-    within = test_episodes, train_episodes
-    all_of = min(episodes if most is None else most for most in within)  # beyond, a press must be drawn to know its split: milliseconds
-    wanted = {
-        number: [end for end in range(ends) if number * ends + end < episodes]
-        for number in range(-(-episodes // ends))
-        if number * ends < all_of or (most := within[catalogue.press(number).split in SPLITS_LEARNT]) is None or number * ends < most
-    }
+    wanted = extent.presses(catalogue)
     asked = {number * ends + end for number, of_press in wanted.items() for end in of_press}
     todo = {
         number: missing
@@ -109,15 +160,15 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
     before = len(asked) - sum(len(of_press) for of_press in todo.values())
     if todo:
         if light and catalogue.plan.mode == "baked":
-            measure_lights([catalogue.sensor_scene(number) for number in sensors_of(catalogue, todo)], device, progress)
+            measure_lights([catalogue.sensor_scene(number) for number in sensors_of(catalogue, todo)], hands.device, progress)
         handfuls = [(number,) for number in todo]
 
         def lost(handful: Handful, status: str, message: str) -> Done:
             return Done(handful, failures=[failure(catalogue, n, todo[n], status, message) for n in handful])
 
-        arguments = (plan, seed, out, todo, device, light)
+        arguments = (plan, seed, out, todo, hands.device, light)
         try:
-            for done in work_through(handfuls, crew, make_worker, arguments, lost, still=device == "cuda"):
+            for done in work_through(handfuls, crew, make_worker, arguments, lost, still=hands.device == "cuda"):
                 book.add(done)
                 if done.error:
                     raise WorkError(done.error)
@@ -128,7 +179,7 @@ def generate(  # noqa: PLR0913 - a keyword for each flag of its command
             raise
         book.write()
     report = report_of(book, out, asked, before, crew.count, time.perf_counter() - start)
-    return {"plan": catalogue.plan.name, "seed": seed, "left_out": episodes - len(asked)} | report
+    return {"plan": catalogue.plan.name, "seed": seed, "left_out": extent.episodes - len(asked)} | report
 
 
 def report_of(book: Book, out: Path, asked: Collection[int], before: int, workers: int, seconds: float) -> dict[str, Any]:
@@ -205,24 +256,6 @@ def make_worker(plan: str, seed: int, out: Path, todo: dict[int, list[int]], dev
         return done
 
     return work
-
-
-def crew_of(workers: int | None, device: str, ray: str | None, solves: bool = True) -> Crew:
-    """Who works: processes here, more of them where GPUs solve presses, or a Ray cluster. Raises SceneError."""
-    check_count(1 if workers is None else workers)
-    if device not in DEVICES:
-        raise SceneError(f"--device {device}: allowed for a dataset are {' and '.join(DEVICES)}")
-    if ray is not None:
-        from gelsim.work.cluster import RayCrew
-
-        return RayCrew(ray, workers, gpu=device == "cuda")
-    gpus = gpus_of(device)
-    count = os.cpu_count() or 1
-    if gpus:
-        from gelsim.fem import solves_on_gpu
-
-        count = min(count * (PER_CORE if solves and solves_on_gpu() else 1), PER_GPU * len(gpus))
-    return LocalCrew(workers or count, gpus=gpus)
 
 
 def gpus_of(device: str) -> list[str]:

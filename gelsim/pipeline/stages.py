@@ -410,37 +410,43 @@ def simulate(scene: Scene, *, device: str = "auto", progress: Progress | None = 
     return deformation, render(scene, deformation, device=device, progress=progress)
 
 
-def run(  # noqa: PLR0913 - a keyword for each flag of its command
+@dataclass(frozen=True)
+class Wanted:
+    """What a result folder is to hold besides the mechanics."""
+
+    pictures: bool = True
+    radiance: bool = False
+    """Of the pictures, also linear ones."""
+    probe: Path | None = None
+    """CSV of rest points x_mm, y_mm at which the gel's surface is sampled."""
+
+
+def run(
     scene: Scene,
     out: Path,
+    wanted: Wanted = Wanted(),
     *,
-    render_frames: bool = True,
     force: bool = False,
     resume: bool = False,
     device: str = "auto",
-    probe: Path | None = None,
-    radiance: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Computes a scene and writes its result folder; returns what report.json holds.
 
     Args:
         out: The folder; `force` replaces results in it, `resume` goes on where it stopped.
-        render_frames: False: the mechanics alone.
-        probe: CSV of rest points x_mm, y_mm at which the gel's surface is sampled.
-        radiance: Also write linear pictures.
     Raises:
         SceneError: Bad input, or the folder cannot be used: nothing was written.
         SolveError: The press stopped early: what was solved, and the report, are in the folder.
     """
     points = None
-    if probe is not None:
-        points = outputs.read_probe_points(probe)
+    if wanted.probe is not None:
+        points = outputs.read_probe_points(wanted.probe)
         outputs.check_probe_points(points, scene)
     folder = outputs.ResultFolder(out, force=force, resume=resume)
     start = time.perf_counter()
     record, solving = Record(), Record()
-    if render_frames:
+    if wanted.pictures:
         # What cannot be drawn should be known before minutes go into the press.
         scene, _ = _choose_renderer(scene, device, record)
     content = "".join(digest(Path(file)) for file in _files(scene))  # before minutes of solving
@@ -461,19 +467,19 @@ def run(  # noqa: PLR0913 - a keyword for each flag of its command
     else:
         deformation, before = earlier
         solving.choices["press"] = "taken from the folder (--resume)"
-        if not render_frames:  # pictures may lie there, of a scene with the same mechanics
+        if not wanted.pictures:  # pictures may lie there, of a scene with the same mechanics
             scene = before
     record.add(solving)
-    frames = render(scene, deformation, device=device, progress=progress, record=record) if render_frames else []
+    frames = render(scene, deformation, device=device, progress=progress, record=record) if wanted.pictures else []
     if earlier is not None and before != scene:  # only now: a drawing that was stopped leaves the folder as it was
         folder.remove((*outputs.PICTURES, "report.json"))
         folder.write("scene.toml", lambda path: outputs.write_scene(path, scene))
     _write_probe(folder, deformation, points)
-    if render_frames:
+    if wanted.pictures:
         with record.stage("write"):
-            _write_pictures(folder, scene, deformation, frames, radiance)
+            _write_pictures(folder, scene, deformation, frames, wanted.radiance)
     report = _report(scene, device, record, deformation, start, out)
-    if render_frames:
+    if wanted.pictures:
         report["video"] = {
             "fps": outputs.video_fps(len(deformation.approach)),
             "slower_than_real_time_by": _slow_motion(deformation),

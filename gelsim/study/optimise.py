@@ -96,18 +96,27 @@ def parse_bounds(text: str) -> tuple[str, dict[str, list[float]]]:
     return name, check_axis("--within", name, axis)
 
 
-def optimise(  # noqa: PLR0913 - a keyword for each flag of its command
-    goals: Sequence[Goal], bounds: Mapping[str, Any], base: Layer, out: Path, *, evaluations: int = 60, resume: bool = False,
-    force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
+@dataclass(frozen=True)
+class Problem:
+    """What is sought."""
+
+    goals: Sequence[Goal]
+    """One, or two for a front; the best is of the first."""
+    bounds: Mapping[str, Any]
+    """Field -> its range, as `parse_bounds` gives it."""
+    base: Layer
+    """What all scenes share."""
+    evaluations: int = 60
+    """At most; 8 a field are samples, and 4 the neighbours of the best."""
+
+
+def optimise(
+    problem: Problem, out: Path, *, resume: bool = False, force: bool = False, workers: int = 1, device: str = "auto", command: str = "",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Searches, and writes results.jsonl, study.csv, study.png, index.html, and sensor.toml and scene.toml of the best.
 
     Args:
-        goals: One, or two for a front; the best is of the first.
-        bounds: Field -> its range, as `parse_bounds` gives it.
-        base: What all scenes share.
-        evaluations: At most; 8 a field are samples, and 4 the neighbours of the best.
         workers: Processes for the samples; what follows is one after the other.
     Returns:
         What the page says, with `best` and `front`, rows of the table, and for each goal `scatter`, largest less smallest of the best and
@@ -116,6 +125,7 @@ def optimise(  # noqa: PLR0913 - a keyword for each flag of its command
         SceneError: Too few evaluations, `out` holds results already and neither `resume` nor `force` was given, or no scene gave a number.
     """
     check_count(workers)
+    goals, bounds, base, evaluations = problem.goals, problem.bounds, problem.base, problem.evaluations
     samples = SAMPLES * len(bounds)
     least = samples + NEIGHBOURS
     if evaluations <= least:

@@ -82,7 +82,7 @@ def test_networks_of_other_pictures_are_refused(tiny_run: Path, tmp_path: Path) 
 def test_an_evaluation_of_two_tells_both(fake_data: Path, tiny_run: Path, second: Path, tmp_path: Path) -> None:
     """And reads what the ensemble reads. Planted: only the first is read."""
     rows = ["novel_hardness"]
-    reports = [evaluate(models, fake_data, tmp_path / str(number), rows=rows, baselines=False) for number, models in
+    reports = [evaluate(models, fake_data, tmp_path / str(number), rows=rows) for number, models in
                enumerate(([tiny_run / "model.pt"], [tiny_run / "model.pt", second]))]  # fmt: skip
     assert [[model["model"] for model in report["models"]] for report in reports] == [["model.pt"], ["model.pt", "second.pt"]]
     first, pair = (_estimates(tmp_path / str(number) / "predictions.csv") for number in range(2))

@@ -141,7 +141,7 @@ def test_firm_presses_have_an_error_of_their_own() -> None:
 
 
 def test_an_evaluation_writes_the_table_of_the_paper(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
-    report = evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "eval")
+    report = evaluate([tiny_run / "model.pt"], fake_data, tmp_path / "eval", baselines_from=fake_data)
     text = (tmp_path / "eval" / "table.md").read_text()
     assert "1398, 0.9564, 5.18" in text and "73, 0.7868, 11.05" in text and "683, 0.8524, 10.28" in text and text == table(report)
     assert set(report["rows"]) == {"novel_hardness", "novel_shape", "robot", "natural"}
@@ -167,7 +167,7 @@ def test_an_evaluation_calls_strange_what_a_prediction_does(fake_data: Path, tin
     harder = {name: end + torch.tensor([0.0, 0.0, 20.0]) for name, end in kept.gels.items()}
     checkpoint.save(tmp_path / "harder.pt", replace(kept, gels=harder))
     for model, all_strange in ((tiny_run / "model.pt", False), (tmp_path / "harder.pt", True)):
-        row = evaluate([model], fake_data, tmp_path / model.stem, rows=["novel_hardness"], baselines=False)["rows"]["novel_hardness"]
+        row = evaluate([model], fake_data, tmp_path / model.stem, rows=["novel_hardness"])["rows"]["novel_hardness"]
         assert (row["unlike_training"] == row["presses"]) == all_strange
         told = [answer["unlike_training"] for answer in predict([model], [fake_data])]
         indices = load_dataset(fake_data).splits["novel_hardness"]
@@ -178,7 +178,7 @@ def test_baselines_may_learn_from_another_dataset(fake_data: Path, tiny_run: Pat
     """A dataset of twice the presses: the network reads the same, the baselines do not; and it must have something to learn from."""
     teacher = fake_dataset(tmp_path / "teacher", presses=2, seed=1)
     model = [tiny_run / "model.pt"]
-    own = evaluate(model, fake_data, tmp_path / "own")["rows"]["novel_hardness"]
+    own = evaluate(model, fake_data, tmp_path / "own", baselines_from=fake_data)["rows"]["novel_hardness"]
     other = evaluate(model, fake_data, tmp_path / "other", baselines_from=teacher)
     row = other["rows"]["novel_hardness"]
     assert other["baselines_from"] == "teacher" and row["rmse"] == own["rmse"]

@@ -26,8 +26,8 @@ from learn.estimate import batches, estimate
 from learn.logs import read_curves
 from learn.model import PressNet
 from learn.predict import find_model
-from learn.recordings import archive
-from learn.train import Place, _average, rate_at, train
+from learn.recordings import Reading, archive
+from learn.train import Begin, Place, _average, rate_at, train
 
 
 def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
@@ -38,7 +38,7 @@ def test_a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one(fake_data: Pat
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        train(fake_data, tmp_path / "run", config, progress=stop_after_two)
+        train(fake_data, tmp_path / "run", config, reading=Reading(progress=stop_after_two))
     half = checkpoint.load(tmp_path / "run" / "last.pt")
     assert half.step == 2
     train(fake_data, tmp_path / "run", config, resume=True)
@@ -69,7 +69,7 @@ def test_an_interrupted_run_leaves_a_network_that_knows_its_spread_and_what_is_s
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        train(fake_data, tmp_path / "run", config, progress=stop_after_four)
+        train(fake_data, tmp_path / "run", config, reading=Reading(progress=stop_after_four))
     left = checkpoint.load(tmp_path / "run" / "model.pt")
     assert left.step < 4 and left.spread_factor != 1.0 and left.novelty is not None
 
@@ -163,7 +163,7 @@ def test_classes_refine_what_was_trained(fake_data: Path, tiny_run: Path, tmp_pa
             row["hardness_class"], row["shore_00"] = int(row["shore_00"] // 30), None
     (data / "meta" / "episodes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     config = configure(**TINY | {"validate_every": 100}, steps=300, rate=3e-3)
-    train(data, tmp_path / "run", config, init=tiny_run / "model.pt")
+    train(data, tmp_path / "run", config, begin=Begin(tiny_run / "model.pt"))
     kept = checkpoint.load(tmp_path / "run" / "model.pt")
     network = kept.build()
     assert isinstance(network, PressNet) and kept.config.model.classes == 3
@@ -193,7 +193,7 @@ def test_a_refused_training_leaves_nothing(
         with pytest.raises(GelsimError, match="no press of known hardness"):
             train(data, out, config)
     with pytest.raises(LearnError, match="only --model paper has a VGG16"):
-        train(fake_data, out, config, vgg_weights=tiny_run / "model.pt")
+        train(fake_data, out, config, begin=Begin(vgg_weights=tiny_run / "model.pt"))
     with monkeypatch.context() as patch:
         patch.setattr("learn.train._place", lambda device: contextlib.nullcontext(Place(0, 3, torch.device("cpu"))))
         with pytest.raises(LearnError, match="a multiple of the 3 devices"):
@@ -228,12 +228,12 @@ def test_a_result_folder_that_cannot_be_is_told(
 def test_fine_tuning_on_a_few_real_presses_begins_from_the_network(fake_data: Path, tiny_run: Path, tmp_path: Path) -> None:
     real = fake_dataset(tmp_path / "real", seed=2, domain="real")
     config = configure(**TINY, steps=1, real_presses=5, rate=0.0)
-    report = train(fake_data, tmp_path / "tuned", config, real=real, init=tiny_run / "model.pt")
+    report = train(fake_data, tmp_path / "tuned", config, real=real, begin=Begin(tiny_run / "model.pt"))
     assert report["provenance"]["begun_from"] == "model.pt" and len(report["provenance"]["data"]) == 2
     before, after = (checkpoint.load(path / "model.pt").network for path in (tiny_run, tmp_path / "tuned"))
     assert all(torch.equal(before[name], after[name]) for name in before)  # at rate 0
     with pytest.raises(LearnError, match="network and input are others"):
-        train(fake_data, tmp_path / "wrong", configure(**TINY | {"hidden": 8}, steps=1), init=tiny_run / "model.pt")
+        train(fake_data, tmp_path / "wrong", configure(**TINY | {"hidden": 8}, steps=1), begin=Begin(tiny_run / "model.pt"))
 
 
 def test_fine_tuning_begins_from_a_shipped_network_by_name(
@@ -241,7 +241,7 @@ def test_fine_tuning_begins_from_a_shipped_network_by_name(
 ) -> None:
     """What is handed to the training, which the test above watches: a step of the shipped network takes minutes on a busy core."""
     given: list[Path | None] = []
-    monkeypatch.setattr("learn.train.train", lambda *_, init, **__: given.append(init))
+    monkeypatch.setattr("learn.train.train", lambda *_, begin, **__: given.append(begin.init))
     arguments = ["train", "--data", str(fake_data), "--out", str(tmp_path / "tuned"), "--init"]
     assert cli.main([*arguments, "varied"]) == 0 and given == [find_model("varied", "--init")]
     for name, words in (("defualt", "no such file"), ("default", "stands for 2 networks; name one: paper2017, varied")):
@@ -265,8 +265,8 @@ def test_weights_are_averaged_as_told(tiny_run: Path) -> None:
 
 
 def test_fewer_presses_are_a_part_of_all(fake_data: Path, tmp_path: Path) -> None:
-    few = train(fake_data, tmp_path / "few", configure(**TINY, steps=1, presses=5), cache=tmp_path / "cache")
-    every = train(fake_data, tmp_path / "all", configure(**TINY, steps=1), cache=tmp_path / "cache")
+    few = train(fake_data, tmp_path / "few", configure(**TINY, steps=1, presses=5), reading=Reading(tmp_path / "cache"))
+    every = train(fake_data, tmp_path / "all", configure(**TINY, steps=1), reading=Reading(tmp_path / "cache"))
     assert few["presses"] <= 5 < every["presses"]
     assert not (tmp_path / "few" / "cache").exists() and len(list((tmp_path / "cache").glob("*/pictures.npy"))) == 1
 

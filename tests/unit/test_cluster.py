@@ -12,7 +12,7 @@ from dataset_fixtures import TINY, contents, put_fields
 
 from gelsim.errors import SceneError
 from gelsim.generate.done import Done
-from gelsim.generate.run import generate
+from gelsim.generate.run import Extent, Hands, generate
 from gelsim.work.workers import work_through
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own: sockets, deprecations
@@ -49,9 +49,9 @@ def make_dying(*_: object):
 @pytest.mark.slow
 def test_a_cluster_makes_the_same_dataset(cluster: str, tmp_path: Path):
     put_fields(TINY, 3)
-    report = generate(TINY, 6, tmp_path / "ray", seed=3, ray=cluster)
+    report = generate(TINY, Extent(6), tmp_path / "ray", seed=3, hands=Hands(ray=cluster))
     assert report["workers"] == 2 and report["episodes"] == 6 and report["failed"] == 0
-    generate(TINY, 6, tmp_path / "here", seed=3, workers=1)
+    generate(TINY, Extent(6), tmp_path / "here", seed=3, hands=Hands(workers=1))
     assert contents(tmp_path / "ray") == contents(tmp_path / "here")
 
 
@@ -71,4 +71,4 @@ def test_an_actor_that_dies_is_replaced_and_its_press_listed(cluster: str):
 def test_no_cluster_is_told(tmp_path: Path):
     pytest.importorskip("ray")
     with pytest.raises(SceneError, match=r"--ray 127.0.0.1:1: no cluster answers"):
-        generate(TINY, 2, tmp_path / "out", ray="127.0.0.1:1")
+        generate(TINY, Extent(2), tmp_path / "out", hands=Hands(ray="127.0.0.1:1"))

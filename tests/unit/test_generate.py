@@ -29,7 +29,7 @@ from gelsim.generate.done import Done
 from gelsim.generate.light import relit
 from gelsim.generate.plan import Catalogue, EpisodeDraw, load_plan
 from gelsim.generate.relight import relight, sensor_scene
-from gelsim.generate.run import Book, generate, make_worker, report_of
+from gelsim.generate.run import Book, Extent, Hands, generate, make_worker, report_of
 from gelsim.optics import bake
 from gelsim.results import Deformation
 from gelsim.scene.layers import build_scene
@@ -232,7 +232,7 @@ def test_how_many_work(
     monkeypatch.setattr(run.os, "cpu_count", lambda: cores)
     monkeypatch.setattr(run, "gpus_of", lambda device: gpus)
     monkeypatch.setattr("gelsim.fem.solves_on_gpu", lambda: cudss)
-    crew = run.crew_of(workers, "cuda", None, solves)
+    crew = Hands("cuda", workers).crew(solves)
     assert isinstance(crew, LocalCrew) and crew.count == count and crew.gpus == gpus
 
 
@@ -298,22 +298,23 @@ def test_a_fault_that_ends_all_costs_no_piece(tmp_path: Path, monkeypatch: pytes
 def test_folders_that_cannot_be_used(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneError, match="is a file"):
-        generate(TINY, 2, tmp_path / "file")
+        generate(TINY, Extent(2), tmp_path / "file")
     with pytest.raises(SceneError, match="not empty; give --resume"):
-        generate(TINY, 2, tmp_path)
+        generate(TINY, Extent(2), tmp_path)
     with pytest.raises(SceneError, match="holds files but no dataset"):
-        generate(TINY, 2, tmp_path, resume=True)
+        generate(TINY, Extent(2), tmp_path, resume=True)
     with pytest.raises(DatasetError, match="cannot be written"):
-        generate(TINY, 2, tmp_path / "file" / "below")
+        generate(TINY, Extent(2), tmp_path / "file" / "below")
     for wrong, said in (
         ({"episodes": 0}, "--episodes 0"),
-        ({"workers": 0}, "--workers 0"),
-        ({"device": "tpu"}, "--device tpu"),
-        ({"test_episodes": -1}, "--test-episodes -1"),
-        ({"train_episodes": -1}, "--train-episodes -1"),
+        ({"test": -1}, "--test-episodes -1"),
+        ({"train": -1}, "--train-episodes -1"),
     ):
         with pytest.raises(SceneError, match=said):
-            generate(TINY, **({"episodes": 2, "out": tmp_path / "new"} | wrong))
+            Extent(**({"episodes": 2} | wrong))
+    for hands, said in ((Hands(workers=0), "--workers 0"), (Hands("tpu"), "--device tpu")):
+        with pytest.raises(SceneError, match=said):
+            generate(TINY, Extent(2), tmp_path / "new", hands=hands)
     assert not (tmp_path / "new").exists()
 
 
@@ -388,8 +389,8 @@ def test_killed_ten_times_at_random_moments(tmp_path: Path, monkeypatch: pytest.
         for episode in load_dataset(killed):  # each is whole
             assert len(episode.frames) == len(episode.approach) == episode.row["frames"]
     assert len(load_dataset(killed)) < episodes  # none of the kills came too late
-    generate(TINY, episodes, killed, seed=3, workers=2, resume=True)
-    generate(TINY, episodes, tmp_path / "whole", seed=3, workers=1)
+    generate(TINY, Extent(episodes), killed, seed=3, hands=Hands(workers=2), resume=True)
+    generate(TINY, Extent(episodes), tmp_path / "whole", seed=3, hands=Hands(workers=1))
     assert contents(killed) == contents(tmp_path / "whole")
 
 
@@ -398,7 +399,7 @@ def test_a_disk_that_takes_no_more_ends_the_run_and_loses_nothing(tmp_path: Path
     """Files above a size are refused, as a full disk refuses them."""
     monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
     put_fields(TINY, 3)
-    generate(TINY, 6, tmp_path / "whole", seed=3, workers=1)
+    generate(TINY, Extent(6), tmp_path / "whole", seed=3, hands=Hands(workers=1))
     sizes = sorted(path.stat().st_size for path in (tmp_path / "whole").rglob("*.tar"))
     assert sizes[0] < sizes[-1]
     most = (sizes[-1] - 1, resource.RLIM_INFINITY)
@@ -409,7 +410,7 @@ def test_a_disk_that_takes_no_more_ends_the_run_and_loses_nothing(tmp_path: Path
     assert done.returncode == 2 and "cannot be written" in done.stderr and "Traceback" not in done.stderr
     there = load_dataset(tmp_path / "full")
     assert len(there) < 6 and all(len(episode.frames) == episode.row["frames"] for episode in there)
-    generate(TINY, 6, tmp_path / "full", seed=3, workers=1, resume=True)
+    generate(TINY, Extent(6), tmp_path / "full", seed=3, hands=Hands(workers=1), resume=True)
     assert contents(tmp_path / "full") == contents(tmp_path / "whole")
 
 
@@ -418,7 +419,7 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
     monkeypatch.setenv("GELSIM_CACHE", str(tmp_path / "cache"))
     put_fields(TINY, 3)
     told: list[tuple[str, int, int]] = []
-    report = generate(TINY, 6, tmp_path / "two", seed=3, workers=2, progress=lambda *args: told.append(args))
+    report = generate(TINY, Extent(6), tmp_path / "two", seed=3, hands=Hands(workers=2), progress=lambda *args: told.append(args))
     assert report["episodes"] == 6 and report["failed"] == 0 and report["exit_code"] == 0 and told[-1] == ("episodes", 6, 6)
     assert "6 of 6 episodes" in generating.summary(report)
 
@@ -431,10 +432,10 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
     halfway = load_dataset(tmp_path / "killed")  # readable, though its manifest may lag behind
     assert len(halfway) < 6
     with pytest.raises(SceneError, match="its seed is 3"):
-        generate(TINY, 6, tmp_path / "killed", seed=4, resume=True)
+        generate(TINY, Extent(6), tmp_path / "killed", seed=4, resume=True)
     time.sleep(1.0)  # until the killed one's worker has noticed
-    generate(TINY, 4, tmp_path / "killed", seed=3, workers=1, resume=True)
-    generate(TINY, 6, tmp_path / "killed", seed=3, workers=1, resume=True)
+    generate(TINY, Extent(4), tmp_path / "killed", seed=3, hands=Hands(workers=1), resume=True)
+    generate(TINY, Extent(6), tmp_path / "killed", seed=3, hands=Hands(workers=1), resume=True)
     assert contents(tmp_path / "killed") == contents(tmp_path / "two")
 
     data = load_dataset(tmp_path / "two")
@@ -447,22 +448,22 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
 
     # Mechanics first and light later are the same files; the folder without light takes no episodes with it.
     dark = tmp_path / "dark"
-    assert generate(TINY, 6, dark, seed=3, workers=2, light=False)["episodes"] == 6
+    assert generate(TINY, Extent(6), dark, seed=3, hands=Hands(workers=2), light=False)["episodes"] == 6
     # Without test rows: the others, as they are; given again without the limit, the rest is made.
-    assert generate(TINY, 6, tmp_path / "part", seed=3, workers=1, light=False, test_episodes=2)["failed"] == 0
+    assert generate(TINY, Extent(6, test=2), tmp_path / "part", seed=3, hands=Hands(workers=1), light=False)["failed"] == 0
     told_of = {folder: [(row["index"], row["split"]) for row in load_dataset(folder).rows] for folder in (dark, tmp_path / "part")}
     assert told_of[tmp_path / "part"] == [each for each in told_of[dark] if each[0] < 2 or each[1] == "train"] != told_of[dark]
     tests = [each for each in told_of[dark] if each[1] != "train"]
-    report = generate(TINY, 6, tmp_path / "tests", seed=3, workers=1, light=False, train_episodes=0)
+    report = generate(TINY, Extent(6, train=0), tmp_path / "tests", seed=3, hands=Hands(workers=1), light=False)
     assert report["asked"] == len(tests) > 0 and f"{6 - len(tests)} left out by" in generating.summary(report)
     assert [(row["index"], row["split"]) for row in load_dataset(tmp_path / "tests").rows] == tests
-    generate(TINY, 6, tmp_path / "part", seed=3, workers=1, light=False, resume=True)
+    generate(TINY, Extent(6), tmp_path / "part", seed=3, hands=Hands(workers=1), light=False, resume=True)
     assert contents(tmp_path / "part") == contents(dark)
     with pytest.raises(SceneError, match="its resolution is"):
-        generate(TINY, 6, dark, seed=3, workers=1, resume=True)
+        generate(TINY, Extent(6), dark, seed=3, hands=Hands(workers=1), resume=True)
     with pytest.raises(SceneError, match="not what it was made from"):
         relight(dark, None, tmp_path / "late", plan="mini")
-    assert relight(dark, None, tmp_path / "late", plan=TINY, workers=2)["episodes"] == 6
+    assert relight(dark, None, tmp_path / "late", plan=TINY, hands=Hands(workers=2))["episodes"] == 6
     late, once = (contents(tmp_path / name / "episodes") for name in ("late", "two"))
     assert late == once and contents(dark / "episodes") != once
 
@@ -470,7 +471,7 @@ def test_killed_and_resumed_is_the_same_as_one_or_two_workers(tmp_path: Path, mo
     for position in range(len(data)):
         scene = sensor_scene(data, position, "fingertip2017")
         write_field(bake.field_path(scene), formula_field(scene))
-    report = relight(tmp_path / "two", "fingertip2017", tmp_path / "other", plan=TINY, seed=8, workers=1)
+    report = relight(tmp_path / "two", "fingertip2017", tmp_path / "other", plan=TINY, seed=8, hands=Hands(workers=1))
     other = load_dataset(tmp_path / "other")
     assert report["episodes"] == 6 and other.splits == data.splits
     for first, second in zip(data, other, strict=True):

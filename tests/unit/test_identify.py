@@ -131,7 +131,7 @@ def test_a_press_is_identified_and_a_wrong_gel_shows(tmp_path: Path, capsys: pyt
         {"fidelity": "balanced", "object": body | {"shore_00": 40.0}, "press": press, "contact": {"friction_coefficient": 0.8}},
         {"camera": {"noise_sd": [2.0, 2.0, 2.0]}, "render": {"mode": "baked", "resolution": [320, 240]}},
     )
-    stages.run(scene, tmp_path / "seen", render_frames=True)
+    stages.run(scene, tmp_path / "seen")
     command = ["identify", str(tmp_path / "seen"), "--shape", "hemisphere", "--radius-mm", "6", "--friction", "0.8", "--fidelity", "fast"]
     assert main([*command, "--out", str(tmp_path / "out")]) == 0
     said = json.loads((tmp_path / "out" / "report.json").read_text())
