@@ -83,12 +83,16 @@ def field_docs(module: ModuleType) -> dict[str, dict[str, str]]:
 def _lines() -> Callable[[str, int, int], None]:
     """Says how far a stage is, at most every TOLD_EVERY seconds: a log of a short run stays empty."""
     told = time.monotonic()
+    begun: dict[str, tuple[int, float]] = {}
 
     def say(stage: str, done: int, total: int) -> None:
         nonlocal told
-        if time.monotonic() - told >= TOLD_EVERY:
-            told = time.monotonic()
-            print(f"{stage}: {done} of {total}", file=sys.stderr, flush=True)
+        now = time.monotonic()
+        first, since = begun.setdefault(stage, (done, now))  # what a run before made says nothing of the rate
+        if now - told >= TOLD_EVERY:
+            told = now
+            rate = f", {(now - since) / (done - first):.2g} s each" if done > first else ""
+            print(f"{stage}: {done} of {total}{rate}", file=sys.stderr, flush=True)
 
     return say
 
@@ -110,7 +114,8 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None] | None]:
         if stage not in bars:
             for bar in bars.values():
                 bar.close()
-            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, bar_format=BAR)
+            # What is there at the first call a run before made: the rate is of this one.
+            bars[stage] = tqdm(total=total, desc=stage, initial=done, file=sys.stderr, bar_format=BAR)
         bars[stage].n = done
         bars[stage].refresh()
 

@@ -25,7 +25,7 @@ from gelsim.units import MM
 
 SLID_R, SLID_DEPTH, SLID_MU, SLID_NU, SLID_KPA = 2.0, 0.04, 0.3, 0.499, 100.0
 """The ball of Cattaneo and Mindlin [mm, mm, 1, 1, kPa]: the gel is 70 radii of contact thick."""
-DRAGGED_MM, DRAGGED_FRAMES = 0.6, 49
+DRAGGED_MM, DRAGGED_FRAMES, SOFT_FRAMES = 0.6, 49, 13
 FULL_SLIP = 1.3
 """Of δ₁: from there on all of it slides."""
 
@@ -90,12 +90,12 @@ def _released(soft: bool) -> tuple[float, float, float]:
 
 
 @cache
-def dragged() -> Deformation:
+def dragged(soft: bool = False, frames: int = DRAGGED_FRAMES) -> Deformation:
     """A ball pressed, dragged to one side, to the other and back, and lifted off."""
     way = [{"depth_mm": 0.4}, *({"shear_mm": [x, 0.0]} for x in (DRAGGED_MM, -DRAGGED_MM, DRAGGED_MM, 0.0)), {"depth_mm": -0.05}]
     seconds = [0.4, *(abs(step) for step in (DRAGGED_MM, 2 * DRAGGED_MM, 2 * DRAGGED_MM, DRAGGED_MM)), 0.4]
     path = [point | {"duration_s": duration} for point, duration in zip(way, seconds, strict=True)]
-    return _ball(False, 0.3, {"path": path, "frames": 2 * DRAGGED_FRAMES})
+    return _ball(soft, 0.3, {"path": path, "frames": 2 * frames})
 
 
 def loop_area(press: Deformation, first: int = 0, last: int | None = None) -> float:
@@ -112,20 +112,20 @@ def _hysteresis() -> tuple[float, float, float]:
     return loop_area(press) * 1e6, lost, lost
 
 
-def _reversed() -> tuple[float, float, float]:
+def _reversed(soft: bool) -> tuple[float, float, float]:
     """Tangential force at the two ends of the full loop."""
-    press = dragged()
+    press = dragged(soft, SOFT_FRAMES if soft else DRAGGED_FRAMES)
     ends = [press.force[np.abs(press.time - moment).argmin(), 0] for moment in (0.4 + 3 * DRAGGED_MM, 0.4 + 5 * DRAGGED_MM)]
     return float(-ends[0]), float(ends[1]), float(ends[1])
 
 
-def _rolled() -> tuple[float, float, float]:
+def _rolled(soft: bool) -> tuple[float, float, float]:
     """Tangential force of a ball rolled to the left over that of one rolled to the right."""
     forces = []
     for angle in (10.0, -10.0):
         way = [{"depth_mm": 0.4}, {"tilt_deg": [0.0, angle]}]
-        forces.append(_ball(False, 0.5, {"path": way, "frames": 7}).force[-1])
-    return float(-forces[1][0]), float(forces[0][0]), float(np.linalg.norm(forces[0]))
+        forces.append(_ball(soft, 0.5, {"path": way, "frames": 7}).force[-1])
+    return float(-forces[1][0]), float(forces[0][0]), float(forces[0][0])
 
 
 def _solved(layer: dict[str, Any]) -> Deformation:
@@ -140,8 +140,10 @@ def known() -> Iterator[Known]:
     yield Known("… on half the thickness: largest change of Q/μN", _half_as_thick, 0.01, "thick enough")
     yield Known("ball in full slip: tangential force over μN, worst state", _full_slide, 0.01, "Coulomb")
     yield Known("dragged to and fro and lifted off: work done, and lost in friction", _hysteresis, 0.02, "energy", "µJ")
-    yield Known("… tangential force after a full reversal, mirrored", _reversed, 0.01, "mirror", "N")
-    yield Known("ball rolled by 10° and by -10°: tangential force, mirrored", _rolled, 0.01, "mirror, over the whole force", "N")
+    yield Known("… tangential force after a full reversal, mirrored", partial(_reversed, False), 0.01, "mirror", "N")
+    yield Known("… of a soft hemisphere", partial(_reversed, True), 0.01, "mirror", "N")
+    yield Known("ball rolled by 10° and by -10°: tangential force, mirrored", partial(_rolled, False), 0.01, "mirror", "N")
+    yield Known("… of a soft hemisphere, tilted by 10° and by -10°", partial(_rolled, True), 0.01, "mirror", "N")
 
 
 def _cases(options: Options) -> Iterator[Case]:

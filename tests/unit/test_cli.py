@@ -8,6 +8,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import is_dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
@@ -313,4 +314,36 @@ def test_a_log_says_how_far_long_work_is(monkeypatch: pytest.MonkeyPatch, capsys
         assert progress is not None
         for now[0] in (0.0, 59.0, 61.0, 62.0, 130.0):
             progress("press", int(now[0]), 200)
-    assert capsys.readouterr() == ("", "press: 61 of 200\npress: 130 of 200\n")
+    assert capsys.readouterr() == ("", "press: 61 of 200, 1 s each\npress: 130 of 200, 1 s each\n")
+
+
+def test_a_rate_counts_what_this_run_made(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A run that goes on at 500 of 600 and makes ten in 100 s, after a start of 30 s: 10 s each, in a log and on a terminal."""
+    from tqdm import tqdm
+
+    now, bars = [30.0], []
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress_bars() as progress:
+        assert progress is not None
+        progress("episodes", 500, 600)
+        now[0] = 130.0
+        progress("episodes", 510, 600)
+    assert capsys.readouterr().err == "episodes: 510 of 600, 10 s each\n"
+
+    class Clocked(tqdm):
+        def __init__(self, **options: Any) -> None:
+            super().__init__(**options)
+            self._time = lambda: now[0]
+            self.start_t, bars[:] = now[0], [self]
+
+    now[0] = 30.0
+    monkeypatch.setattr("tqdm.tqdm", Clocked)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    with console.progress_bars() as progress:
+        assert progress is not None
+        progress("episodes", 500, 600)
+        now[0] = 130.0
+        progress("episodes", 510, 600)
+        told = bars[0].format_dict
+    assert (told["n"] - told["initial"]) / told["elapsed"] == pytest.approx(0.1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gelsim.data.lightfield import LightField, read_field, write_field
+from gelsim.generate.run import measure_lights
 from gelsim.optics import bake
 from gelsim.optics.variant import SCALAR
 from gelsim.pipeline import stages
@@ -103,6 +104,25 @@ def test_field_is_measured_once_and_again_when_damaged(tmp_path, monkeypatch):
     # A folder that cannot be written costs the cache, not the field.
     monkeypatch.setenv("GELSIM_CACHE", str(path))
     assert bake.light_field(scene, SCALAR).normals == 0.9 and len(calls) == 3
+
+
+def test_an_interrupted_bake_keeps_the_sensors_that_are_done(tmp_path, monkeypatch):
+    """Three sensors, stopped in the second: what goes on measures the second and the third alone."""
+    monkeypatch.setenv("GELSIM_CACHE", str(tmp_path))
+    sensors = [lit_scene(), *(lit_scene().replace(render=Render("baked", resolution=(160, height))) for height in (100, 80))]
+    calls = []
+
+    def measured(scene, variant, progress):
+        calls.append(sensors.index(scene))
+        if calls == [0, 1]:
+            raise KeyboardInterrupt
+        return linear_field()
+
+    monkeypatch.setattr(bake, "measure", measured)
+    with pytest.raises(KeyboardInterrupt):
+        measure_lights(sensors, "cpu", None)
+    measure_lights(sensors, "cpu", None)
+    assert calls == [0, 1, 1, 2]
 
 
 def test_auto_takes_a_field_that_is_measured_and_good_enough(tmp_path, monkeypatch):
