@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gelsim import fem
-from gelsim.bench import live_presses
+from gelsim.bench import live_presses, mesh_parts
 from gelsim.bench.live_presses import SHARES, THICKNESS_MM
 from gelsim.bench.motion import loop_area
 from gelsim.bench.report import table
@@ -84,9 +84,9 @@ STATES = 8
 def _solved(index: int, seed: int, fidelity: str, folder: Path) -> tuple[Scene, Deformation]:
     _, drawn = live_presses.draw(index, seed)
     if fidelity == stages.LIVE:
-        scene = live_presses.built(drawn, folder)
+        scene = mesh_parts.built(drawn, folder)
         return scene, stages.press(scene.replace(fidelity=fidelity))
-    return live_presses.built(drawn, folder), live_presses.solved(drawn, folder, fidelity)
+    return mesh_parts.built(drawn, folder), live_presses.solved(drawn, folder, fidelity)
 
 
 def measured(index: int, share: float, folder: Path, seed: int = live_presses.SEED, by: tuple[str, str] = (stages.LIVE, TRUTH)) -> Row:
@@ -218,7 +218,7 @@ def looped(name: str, folder: Path) -> Row:
     truth = live_presses.solved(drawn, folder, TRUTH)
     if truth.report.energy is None or truth.status is not SolveStatus.CONVERGED:
         return {"status": "SolveError", "message": truth.message}
-    found, wanted = walked(live_presses.built(drawn, folder), truth), truth.report.energy.work_j
+    found, wanted = walked(mesh_parts.built(drawn, folder), truth), truth.report.energy.work_j
     if name.startswith("shear ±"):
         first, last = 2 * STATES, 4 * STATES
         found, wanted = found[first:last], loop_area(truth, first, last)
@@ -258,10 +258,11 @@ def _cases(options: Options) -> Iterator[Case]:
     for index in range(QUICK_COUNT if options.quick else COUNT):
         name, _ = live_presses.draw(index)
         for share in live_presses.shares_of(index):
-            yield Case(f"{index:02d} {name}: {share:g}", partial(measured, index, share, options.kept))
+            yield Case(f"{index:02d} {name}: {share:g}", partial(measured, index, share, options.kept), same=f"{index}")
     for index in () if options.quick else TWICE:
         for share in live_presses.shares_of(index):
-            yield Case(f"{index:02d} {TRUTH}: {share:g}", partial(measured, index, share, options.kept, by=(TRUTH, FINER)))
+            measure = partial(measured, index, share, options.kept, by=(TRUTH, FINER))
+            yield Case(f"{index:02d} {TRUTH}: {share:g}", measure, same=f"{index} {FINER}")
     for name in list(LOOPS)[:1] if options.quick else LOOPS:
         yield Case(f"loop: {name}", partial(looped, name, options.kept))
 

@@ -10,18 +10,17 @@ import hashlib
 import json
 from pathlib import Path
 from string import ascii_uppercase
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.bench.mesh_parts import built
 from gelsim.bench.section import Layer
 from gelsim.errors import SceneError
 from gelsim.files import whole_file
 from gelsim.pipeline import outputs, stages
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
-from gelsim.scene.layers import build_scene
 from gelsim.scene.motion import motion, straight
 from gelsim.units import MM
 
@@ -123,14 +122,6 @@ def approaches(scene: Scene) -> NDArray[np.float64]:
     return np.interp(way.recorded, way.time, way.approach) * MM
 
 
-def built(drawn: Layer, folder: Path) -> Scene:
-    """The scene of a drawn press; mesh files are written into a folder."""
-    body = drawn["object"]
-    if "mesh" in body:
-        body = body | {"mesh": str(_mesh_file(body["mesh"], folder))}
-    return build_scene(drawn | {"object": body})
-
-
 def solved(drawn: Layer, folder: Path, fidelity: str) -> Deformation:
     """The press by finite elements, as it was kept in a folder, or solved now and kept there.
 
@@ -149,67 +140,3 @@ def solved(drawn: Layer, folder: Path, fidelity: str) -> Deformation:
     with whole_file(path) as partial:
         outputs.write_press(partial, scene, press, {"info": press.report.table()})
     return press
-
-
-# ---- meshes ----
-
-
-def _mesh_file(said: str, folder: Path) -> Path:
-    """An STL file of "letter A 5", "screw head 4" or "thread 4", whose last word is its size [mm]."""
-    import trimesh
-
-    path = folder / f"{said.replace(' ', '_')}.stl"
-    if not path.exists():
-        *words, size = said.split()
-        made = {"letter": lambda size: _letter(words[1], size), "screw": _head, "thread": _thread}[words[0]]
-        mesh = made(float(size)).simplify(1e-3).to_mesh64()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as partial:
-            trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts).export(partial, file_type="stl")
-    return path
-
-
-def _letter(letter: str, height: float) -> Any:
-    """A stamp: one bold letter of a height, 3 mm deep, its face down, its edges rounded by 0.2 mm."""
-    from manifold3d import CrossSection, FillRule, JoinType, Manifold, OpType
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import TextPath
-
-    font = FontProperties(family="DejaVu Sans", weight="bold")
-    outlines: Any = TextPath((0, 0), letter, size=height / 0.73, prop=font).to_polygons(closed_only=True)  # of capitals
-    face = CrossSection([outline[:-1] for outline in outlines], FillRule.EvenOdd)
-    left, low, right, high = face.bounds()
-    face = face.translate((-(left + right) / 2, -(low + high) / 2))
-    angle = np.radians(np.linspace(0, 90, 7))
-    steps = 0.2 * np.stack([1 - np.cos(angle), 1 - np.sin(angle)], axis=1)
-    parts = [face.offset(-inset, JoinType.Round, circular_segments=48).extrude(3.0 - lift).translate((0, 0, lift)) for inset, lift in steps]
-    return Manifold.batch_boolean(parts, OpType.Add)
-
-
-def _head(radius: float) -> Any:
-    """A pan head of a radius, its top down, with a cross 0.3 radii deep."""
-    from manifold3d import CrossSection
-
-    along = np.linspace(0, np.pi / 2, 13)
-    outline = np.column_stack([radius * np.sin(along) ** 0.6, 0.55 * radius * (1 - np.cos(along) ** 0.6)])
-    head = CrossSection([np.vstack([outline, [(radius, radius), (0, radius)]])]).revolve(96)
-    arms = [CrossSection.square(side, True) for side in ((1.2 * radius, 0.3 * radius), (0.3 * radius, 1.2 * radius))]
-    cross = (arms[0] + arms[1]).extrude(0.3 * radius, scale_top=(0.7, 0.7))
-    return head - cross.translate((0, 0, -1e-3))
-
-
-def _thread(radius: float) -> Any:
-    """A threaded rod of an outer radius, lying along x, 12 mm long: ISO's 60 degrees, its crests an eighth of the pitch wide."""
-    from manifold3d import Manifold
-
-    pitch = 0.35 * radius**0.75
-
-    def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        points = np.array(points)
-        turns = points[:, 2] / pitch - np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
-        wave = 1 - np.abs(2 * (turns % 1) - 1)
-        points[:, :2] *= (radius - 0.866 * pitch * (wave - 0.125).clip(0.0, 0.625))[:, None]
-        return points
-
-    rod = Manifold.cylinder(12.0, 1.0, circular_segments=96, center=True).refine_to_length(0.2)
-    return rod.warp_batch(move).rotate((0, 90, 0))

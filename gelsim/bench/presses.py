@@ -62,6 +62,7 @@ def facts(press: Deformation, states_wanted: int) -> Row:
         "status": press.status.name,
         "message": press.message if press.status is not SolveStatus.CONVERGED else "",
         "ended_by": press.report.ended_by,
+        "tried": press.report.tried,
         "friction_coefficient": press.report.friction_coefficient,
         "states": len(press.approach),
         "states_wanted": states_wanted,

@@ -80,7 +80,7 @@ def measure_drawn(index: int) -> Row:
 def said(scene: Layer) -> str:
     """A scene in a few words."""
     body, press = scene["object"], scene["press"]
-    words = [body["shape"] + (f" R {body['radius_mm']:g}" if "radius_mm" in body else "")]
+    words = [body.get("mesh", body["shape"]) + (f" R {body['radius_mm']:g}" if "radius_mm" in body else "")]
     words.append("rigid" if body.get("rigid") else f"00-{body['shore_00']:g}")
     words.append(f"{scene['gel']['profile']} {scene['gel']['thickness_mm']:g} mm 00-{scene['gel']['shore_00']:g}")
     words.append("to force" if press["depth_mm"] == "none" else f"{press['depth_mm']:g} mm")

@@ -11,6 +11,7 @@ import platform
 import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -100,12 +101,15 @@ def _measured(cases: list[tuple[str, Case]], options: Options, workers: int) -> 
         yield from (_measure(name, case) for name, case in cases)
         return
 
-    def lost(handful: Handful, status: str, message: str) -> Row:
-        name, case = cases[handful[0]]
-        return {"key": f"{name}/{case.name}", "section": name, "name": case.name, "status": status, "message": message}
+    def lost(handful: Handful, status: str, message: str) -> list[Row]:
+        said = {"status": status, "message": message}
+        return [{"key": f"{name}/{case.name}", "section": name, "name": case.name} | said for name, case in (cases[i] for i in handful)]
 
     names = [(name, case.name) for name, case in cases]
-    yield from work_through([(number,) for number in range(len(cases))], LocalCrew(workers), _make_measurer, (names, options), lost)
+    together = groupby(range(len(cases)), lambda number: (cases[number][0], cases[number][1].same or number))
+    handfuls = [tuple(numbers) for _, numbers in together]
+    for rows in work_through(handfuls, LocalCrew(workers), _make_measurer, (names, options), lost):
+        yield from rows
 
 
 def _measure(name: str, case: Case) -> Row:
@@ -117,10 +121,10 @@ def _measure(name: str, case: Case) -> Row:
         return row | {"status": type(error).__name__, "message": str(error)}
 
 
-def _make_measurer(names: list[tuple[str, str]], options: Options) -> Work[Row]:
-    """What a worker does: finds the case of a number by its name, and measures it."""
+def _make_measurer(names: list[tuple[str, str]], options: Options) -> Work[list[Row]]:
+    """What a worker does: finds the cases of some numbers by their names, and measures them."""
     found = {(name, case.name): case for name in {name for name, _ in names} for case in load(name).cases(options)}
-    return lambda handful: _measure(names[handful[0]][0], found[names[handful[0]]])
+    return lambda handful: [_measure(names[number][0], found[names[number]]) for number in handful]
 
 
 def _written(out: Path, name: str, keys: list[str], known: dict[str, Row], quick: bool) -> report.Table:

@@ -39,6 +39,8 @@ class Case:
     measure: Callable[[], Row]
     scene: Layer | None = None
     """The scene that `measure` solves, where it is one."""
+    same: str = ""
+    """What it has in common with cases beside it, such as a press that all look at: one worker measures them."""
 
 
 @dataclass(frozen=True)

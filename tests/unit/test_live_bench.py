@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelsim.bench import live, live_presses
-from gelsim.bench.section import Row
+from gelsim.bench import live, live_presses, mesh_parts
+from gelsim.bench.section import Options, Row
 from gelsim.live import layer
 from gelsim.pipeline import stages
 from gelsim.scene.layers import build_scene
@@ -22,7 +22,7 @@ def test_of_36_presses_each_kind_goes_each_way_once(tmp_path: Path) -> None:
     assert drawn == [live_presses.draw(index)[1] for index in range(36)] and drawn[0] != live_presses.draw(0, seed=1)[1]
     assert len({live_presses.kind_of(index) for index in range(36)}) == 36
     for index, said in enumerate(drawn):
-        scene = live_presses.built(said, tmp_path)  # a valid one
+        scene = mesh_parts.built(said, tmp_path)  # a valid one
         steps = live_presses.approaches(scene) / (live_presses.THICKNESS_MM * 1e-3)
         for share in live_presses.shares_of(index):
             assert np.abs(steps - share).min() < 1e-9
@@ -94,3 +94,11 @@ def test_poses_are_those_that_the_scene_says(tmp_path: Path) -> None:
     # Its work is what it takes on the way: friction took some, and none came back.
     work = live.walked(scene, press)
     assert len(work) == 4 and 0 < work.sum() < work[:3].sum()
+
+
+def test_one_worker_measures_what_one_press_says_at_all_its_depths() -> None:
+    """Others would solve it too, each for a depth."""
+    for case in live.SECTION.cases(Options(("live",))):
+        index, _, rest = case.name.partition(" ")
+        finer = rest.startswith(live.TRUTH)
+        assert case.same == ("" if case.name.startswith("loop") else f"{int(index)}" + f" {live.FINER}" * finer)
