@@ -1,8 +1,11 @@
 """Do scenes that nothing was tried on end, and how well? Those of `gelsim bench --only random` with other seeds, many at once.
 
     python docs/studies/random_scenes.py --seeds 3001 3002 3003 --scenes 1000 --workers 44 --out random.jsonl [--seconds 420]
+    python docs/studies/random_scenes.py --seeds 36 --scenes 200 --parts meshes --workers 44 --out parts.jsonl
+    python docs/studies/random_scenes.py --scenes 1000 --read random.jsonl
 
-One process a worker, of one thread each; a line a scene as it ends. Times of many at once are several times those of one alone.
+With --parts mesh parts are pressed in their place (`gelsim.bench.mesh_parts`), whose files are written into that folder. One process a
+worker, of one thread each; a line a scene as it ends. Times of many at once are several times those of one alone.
 """
 
 from __future__ import annotations
@@ -11,39 +14,49 @@ import argparse
 import json
 import multiprocessing
 import time
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, TimeoutError, as_completed
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gelsim.bench import presses, random_scenes
-from gelsim.errors import GelsimError
+from gelsim.bench import mesh_parts, presses, random_scenes
+from gelsim.errors import GelsimError, PressEnd, SolveStatus
 from gelsim.work.workers import in_environment, settings
 
 
-def measured(seed: int, index: int) -> dict[str, Any]:
-    """Row of one scene; `asked` is its friction."""
-    scene, begun = random_scenes.draw(index, seed), time.perf_counter()
+def measured(seed: int, index: int, parts: Path | None = None) -> dict[str, Any]:
+    """Row of one scene, or of a mesh part whose file is kept in a folder; `asked` is its friction."""
+    scene, begun = (mesh_parts if parts else random_scenes).draw(index, seed), time.perf_counter()
     row: dict[str, Any] = {"seed": seed, "index": index, "scene": random_scenes.said(scene)}
     row["asked"] = scene["contact"]["friction_coefficient"]
     try:
+        if parts:
+            scene["object"]["mesh"] = str(mesh_parts.mesh_file(scene["object"]["mesh"], parts))
         row |= presses.measure(scene)
     except GelsimError as error:
         row |= {"status": type(error).__name__, "message": str(error)}
     return row | {"wall_s": round(time.perf_counter() - begun, 2)}
 
 
+def as_asked(row: dict[str, Any]) -> bool:
+    """Whether a press was solved to its end, or as far as the object bears, with its own friction."""
+    solved = row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] != PressEnd.LOST
+    return solved and row["friction_coefficient"] in (None, row["asked"])
+
+
 def summary(rows: list[dict[str, Any]], of: int) -> str:
     """How many converged as asked, the others by name; overlaps, energy drifts, seconds."""
-    solved = [row for row in rows if row["status"] == "CONVERGED" and row["friction_coefficient"] in (None, row["asked"])]
+    solved = [row for row in rows if as_asked(row)]
     others = "; ".join(
         f"{row['seed']}:{row['index']} {row['scene']}: {row['status']} {row['message']}" for row in rows if row not in solved
     )
     overlap, drift = (np.abs([row[name] for row in solved]) for name in ("penetration_um", "drift_percent"))
     wall = [row["wall_s"] for row in rows]
+    tries = Counter(row["tried"] for row in solved)
     return (
-        f"{len(rows)} of {of} scenes ended, {len(solved)} converged as asked\n"
+        f"{len(rows)} of {of} scenes ended, {len(solved)} converged as asked, by try {dict(sorted(tries.items()))}\n"
         f"overlap at most 20 um in {100 * np.mean(overlap <= 20):.1f} %, the worst {overlap.max():.0f} um\n"
         f"energy drift at most 2 % in {100 * np.mean(drift <= 2):.2f} %, the worst {drift.max():.1f} %\n"
         f"seconds: median {np.median(wall):.1f}, 95 % {np.percentile(wall, 95):.1f}, longest {max(wall):.0f}\n"
@@ -58,13 +71,19 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=300)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seconds", type=float, help="what is not done by then is left")
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--parts", type=Path, metavar="FOLDER", help="press mesh parts; FOLDER keeps their files")
+    into = parser.add_mutually_exclusive_group(required=True)
+    into.add_argument("--out", type=Path)
+    into.add_argument("--read", type=Path, help="say what such a file holds")
     options = parser.parse_args()
+    if options.read:
+        print(summary([json.loads(line) for line in options.read.read_text().splitlines()], options.scenes))
+        return
     keys = [(seed, index) for index in range(-(-options.scenes // len(options.seeds))) for seed in options.seeds][: options.scenes]
     rows: list[dict[str, Any]] = []
     with in_environment(settings(1)):
         pool = ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn"))
-        tasks = [pool.submit(measured, *key) for key in keys]
+        tasks = [pool.submit(measured, *key, options.parts) for key in keys]
         try:
             with options.out.open("w") as file:
                 for task in as_completed(tasks, options.seconds):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelsim.bench import live, live_presses, mesh_parts
+from gelsim.bench import live, live_presses, mesh_parts, runner
 from gelsim.bench.section import Options, Row
 from gelsim.live import layer
 from gelsim.pipeline import stages
@@ -96,9 +96,17 @@ def test_poses_are_those_that_the_scene_says(tmp_path: Path) -> None:
     assert len(work) == 4 and 0 < work.sum() < work[:3].sum()
 
 
-def test_one_worker_measures_what_one_press_says_at_all_its_depths() -> None:
+def test_one_worker_measures_what_one_press_says_at_all_its_depths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Others would solve it too, each for a depth."""
-    for case in live.SECTION.cases(Options(("live",))):
-        index, _, rest = case.name.partition(" ")
-        finer = rest.startswith(live.TRUTH)
-        assert case.same == ("" if case.name.startswith("loop") else f"{int(index)}" + f" {live.FINER}" * finer)
+    handed: list[list[str]] = []
+
+    def work_through(handfuls: list[tuple[int, ...]], _crew: object, _make: object, arguments: tuple, _lost: object) -> list[list[Row]]:
+        handed.extend([arguments[0][number][1] for number in handful] for handful in handfuls)
+        return []
+
+    monkeypatch.setattr(runner, "work_through", work_through)
+    runner.run(tmp_path, Options(("live",)), workers=2)
+    depths = [len(live_presses.shares_of(index)) for index in range(live.COUNT)]
+    finer = [len(live_presses.shares_of(index)) for index in live.TWICE]
+    assert [len(handful) for handful in handed] == [*depths, *finer, *([1] * len(live.LOOPS))]
+    assert all(len({name.rpartition(":")[0] for name in handful}) == 1 for handful in handed)
