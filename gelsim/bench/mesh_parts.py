@@ -67,11 +67,11 @@ def built(drawn: Layer, folder: Path) -> Scene:
 
 def mesh_file(said: str, folder: Path) -> Path:
     """An STL file of a part, lengths in mm, face down."""
-    import trimesh
-    from manifold3d import Manifold
-
     path = folder / f"{said.replace(' ', '_')}.stl"
     if not path.exists():
+        import trimesh
+        from manifold3d import Manifold
+
         # in the file's precision before what is tiny goes: what fell together there would leave open edges
         mesh = Manifold(made(said).to_mesh()).simplify(1e-3).to_mesh()
         path.parent.mkdir(parents=True, exist_ok=True)
