@@ -1,0 +1,560 @@
+"""What is simulation worth in real presses? Networks tuned on k labelled things, beside the same network trained on these alone.
+
+    python docs/studies/fine_tune.py dataset FOLDER DATA --mm-per-px 0.058 --sensor gelsight_mini      videos with labels.csv -> a dataset
+    python docs/studies/fine_tune.py study DATA OUT [--device cuda --workers 8 --seconds 1150]         trains, a line of JSON a network
+    python docs/studies/fine_tune.py table OUT                                                         the table of what is there
+
+FOLDER is as docs/studies/hand_presses.py takes it, and presses are found and scaled as `gelsim-learn predict` does. Each split draws things
+until 20 objects of three classes can be trained on; the objects of all other things are the test, the same for every k, and the k objects
+are among those of the next larger k. All videos of an object are trained on, told gel and scale, known by class alone.
+
+Ways: `tuned`, all weights by `learn.train.train` from a shipped network; `random`, the same network, data and code from random weights;
+`ridge`, the frozen network's features of each video (or the hand-made ones of `learn.features`), a ridge regression of the class on
+their means by object, its penalty by leaving objects out. Rate and steps of the first two are chosen once, by the mean
+Spearman with 5 objects, on splits of the half of things that choices may rest on; things of both halves are then tested.
+`matched`: nothing is labelled; the features (mean; mean and spread; covariance: Sun et al. 2016, CORAL) or the pictures (mean and contrast
+of the untouched gel, contrast of the change) of all real videos are brought to those of the simulated presses, which a checkpoint keeps.
+
+It goes on where it was stopped. --quick: two splits, a few steps, on a CPU in minutes. Scores are of test objects: Spearman by object (mean
+of its videos), areas under the curve by video.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import shutil
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import TimeoutError as OutOfTime
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gelsim.data.episodes import Dataset, episode_file, gel_facts, load_dataset, survey, write_episode, write_meta
+from gelsim.errors import GelsimError
+from gelsim.results import Episode
+from gelsim.scene.layers import build_scene
+from learn import checkpoint
+from learn.baselines import over_time, ridge_weights
+from learn.config import InputConfig, LearnError, configure
+from learn.data import Press, held_presses
+from learn.ensemble import Ensemble
+from learn.estimate import batches, estimate, pick_device
+from learn.frames import equal_steps, loading
+from learn.framing import FIELD_MM, Framing
+from learn.model import PressNet, build
+from learn.predict import find_model, find_models
+from learn.recordings import Reading, archive
+from learn.scores import spearman
+from learn.train import train
+from learn.video import sources
+
+KEPT = 24
+"""Frames of a press that travel, at equal steps of its signal; a network sees eight."""
+UNLABELLED = "unlabelled"
+
+
+def to_dataset(folder: Path, out: Path, mm_per_px: float, sensor: str) -> None:
+    """The presses of videos as the networks see them, in the schema of the simulated ones."""
+    inputs = checkpoint.load(find_model("paper2017", "")).config.input
+    gel = gel_facts(build_scene({"sensor": {"preset": sensor}}).gel)
+    with (folder / "labels.csv").open(newline="") as opened:
+        rows = list(csv.DictReader(opened))
+    for index, of in enumerate([*rows, rows[0]]):
+        ((_, read),) = sources(folder / of["file"], inputs, framing=Framing(mm_per_px=mm_per_px))
+        try:
+            recording = read().recording
+        except LearnError as error:
+            print(error, file=sys.stderr)
+            continue
+        among = loading(recording.signal, inputs)
+        if len(among) == 0:
+            print(f"{of['file']}: no contact", file=sys.stderr)
+            continue
+        kept = equal_steps(recording.signal, among, KEPT, repeat=False)
+        frames, empty = (np.rint(part).clip(0, 255).astype(np.uint8) for part in (recording.pictures[kept], recording.background))
+        label = {"object": of["object"], "thing": of["thing"], "hardness_class": int(of["hardness_rank"])}
+        # A training sets labelled objects aside where nothing validates; one press without a label does, and nothing is chosen by it.
+        label = label if index < len(rows) else {"object": UNLABELLED}
+        row = {
+            "index": index, "group": 5, "shape": "natural", "radius_mm": None, "shore_00": None, "rigid": False, "motion": "human",
+            "domain": "real", "frames": len(frames), "peak_force_n": None, "mechanics": f"real-{index:06d}", "sensor": sensor, "gel": gel,
+            "file": episode_file(index), "field_mm": list(FIELD_MM), "source": of["file"], **label,
+        }  # fmt: skip
+        unknown = np.full(len(frames), np.nan)
+        write_episode(
+            out, Episode(frames, empty, kept / 25.0, unknown, np.full((len(frames), 3), np.nan), np.zeros((len(frames), 0, 2)), row)
+        )
+    info = {"domain": "real", "fps": 25.0, "resolution": list(inputs.picture[::-1]), "noise": "own", "plan": None, "seed": None}
+    write_meta(out, info, survey(out), [], {})
+    print(f"{out}: {len(survey(out).rows) - 1} of {len(rows)} videos")
+
+
+# ---- splits ----
+
+CLASSES = SOFT, MODERATE, HARD = 0, 1, 2
+COUNTS = {2: (1, 0, 1), 5: (1, 2, 2), 10: (2, 4, 4), 20: (3, 8, 9)}
+"""Objects of each class among k: from 5 on nearly as many of each as there are in all (6, 16, 16)."""
+CHOSEN_WITH = 5
+"""k by which rate and steps are chosen: the half of things for that has three hard ones."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """An object that was pressed."""
+
+    name: str
+    thing: str
+    rank: int
+    presses: tuple[int, ...]
+    """Indices in the dataset."""
+
+
+def bodies_of(rows: Sequence[dict[str, Any]]) -> list[Body]:
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        if row["object"] != UNLABELLED:
+            found.setdefault(row["object"], []).append(row)
+    return [Body(name, of[0]["thing"], of[0]["hardness_class"], tuple(row["index"] for row in of)) for name, of in sorted(found.items())]
+
+
+def first_half(bodies: Sequence[Body]) -> list[Body]:
+    """Those on which choices may rest, as in hand_presses.py."""
+    things = sorted({body.thing for body in bodies})
+    return [body for body in bodies if things.index(body.thing) % 2 == 0]
+
+
+def split(bodies: Sequence[Body], seed: int, most: int) -> tuple[dict[int, list[Body]], list[Body]]:
+    """Bodies to train on by k up to `most`, each among those of the next; and those of all other things, some of each class."""
+    rng = np.random.default_rng([39, seed])
+    things = sorted({body.thing for body in bodies})
+    while True:  # drawn again where things of several classes leave too few of one
+        wanted, drawn = list(COUNTS[most]), []
+        for thing in rng.permutation(things):
+            of = [body for body in bodies if body.thing == thing]
+            if all(wanted[body.rank] > 0 for body in of):
+                drawn += [(number, len(drawn), of[place]) for number, place in enumerate(rng.permutation(len(of)))]
+                for body in of:
+                    wanted[body.rank] = max(wanted[body.rank] - 1, 0)
+        touched = {body.thing for _, _, body in drawn}
+        test = [body for body in bodies if body.thing not in touched]
+        if not any(wanted) and {body.rank for body in test} == set(CLASSES):
+            break
+    # From as many things as there are before a second part of one.
+    ordered = [body for *_, body in sorted(drawn, key=lambda entry: entry[:2])]
+    by_rank = [[body for body in ordered if body.rank == rank] for rank in CLASSES]
+    trained = {
+        k: [body for of, count in zip(by_rank, counts, strict=True) for body in of[:count]] for k, counts in COUNTS.items() if k <= most
+    }
+    return trained, test
+
+
+# ---- scores ----
+
+
+def area(above: NDArray, below: NDArray) -> float:
+    """Of the pairs of one that should read higher and one that should read lower, the share that does; ties count half."""
+    over = above[:, None] - below[None]
+    return float(np.mean((over > 0) + 0.5 * (over == 0)))
+
+
+def scores(readings: dict[int, float], test: Sequence[Body]) -> tuple[float, float, float]:
+    """Spearman by object; areas under the curve by video, hard over soft and hard over moderate."""
+    of = [np.array([readings[index] for index in body.presses]) for body in test]
+    hard, moderate, soft = (
+        np.concatenate([values for values, body in zip(of, test, strict=True) if body.rank == rank]) for rank in (HARD, MODERATE, SOFT)
+    )
+    ranked = spearman([body.rank for body in test], [values.mean() for values in of])
+    return ranked, area(hard, soft), area(hard, moderate)
+
+
+# ---- trainings ----
+
+
+@dataclass(frozen=True)
+class Job:
+    """A training, and the reading of its test."""
+
+    stage: str
+    """choose: on the first half of things; test: on all."""
+    split: int
+    start: str
+    k: int
+    rate: float
+    steps: int
+    batch: int
+
+    @property
+    def key(self) -> str:
+        return f"{self.stage}-{self.split}-{self.start}-{self.k}-{self.rate:g}-{self.steps}"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a process of this study works."""
+
+    data: Path
+    work: Path
+    device: str
+    gpus: int
+
+
+_place: Place
+_presses: dict[int, Press]
+
+
+def _begin(place: Place, number: Any) -> None:
+    """In a process: its GPU, and the presses as a test sees them."""
+    global _place, _presses
+    torch.set_num_threads(1)
+    with number.get_lock():
+        mine, number.value = number.value, number.value + 1
+    if place.gpus:
+        torch.cuda.set_device(mine % place.gpus)
+    _place, _presses = place, seen(load_dataset(place.data), place.work)
+
+
+def seen(dataset: Dataset, work: Path) -> dict[int, Press]:
+    """The presses of a dataset, by index, as a test sees them."""
+    inputs = shipped_inputs()
+    part = archive(dataset, [row["index"] for row in dataset.rows], inputs, Reading(work / "cache"))
+    found = held_presses(part, inputs, False, 0)
+    return {row["index"]: press for row, press in zip(part.rows, found, strict=True) if press is not None}
+
+
+def shipped_inputs() -> InputConfig:
+    return checkpoint.load(find_model("paper2017", "")).config.input
+
+
+def stage_bodies(bodies: list[Body], stage: str) -> tuple[list[Body], int]:
+    """What a stage splits, and the most that it trains on."""
+    return (first_half(bodies), CHOSEN_WITH) if stage == "choose" else (bodies, max(COUNTS))
+
+
+def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
+    """In a process: the readings of a job's test by press, or why there are none; and its seconds."""
+    began = time.perf_counter()
+    dataset = load_dataset(_place.data)
+    bodies, most = stage_bodies(bodies_of(dataset.rows), job.stage)
+    trained, test = split(bodies, job.split, most)
+    folder = _place.work / job.key
+    shutil.rmtree(folder, ignore_errors=True)
+    (folder / "fold").mkdir(parents=True)
+    shutil.copytree(_place.data / "meta", folder / "fold" / "meta")
+    (folder / "fold" / "episodes").symlink_to((_place.data / "episodes").resolve())
+    sides = {
+        "train": [index for body in trained[job.k] for index in body.presses],
+        "validation": [row["index"] for row in dataset.rows if row["object"] == UNLABELLED],
+    }
+    (folder / "fold" / "meta" / "splits.json").write_text(json.dumps(sides))
+    init = find_model("paper2017" if job.start == "random" else job.start, "")
+    begun = checkpoint.load(init)
+    if job.start == "random":
+        init = folder / "random.pt"
+        checkpoint.save(init, random_checkpoint(begun, job.split))
+    # As the shipped ones were finished: little randomisation.
+    config = configure(
+        batch=job.batch, rate=job.rate, steps=job.steps, warmup=0, validate_every=job.steps, seed=job.split,
+        end_share=0.6, drop=0.05, gain=0.12, gamma=0.1, crop=0.08,
+    )  # fmt: skip
+    config = replace(config, input=begun.config.input, model=begun.config.model)
+    try:
+        train(folder / "fold", folder / "run", config, init=init, device=_place.device, cache=_place.work / "cache")
+        ensemble = Ensemble([folder / "run" / "model.pt"], pick_device(_place.device))
+        asked = [index for body in test for index in body.presses if index in _presses]
+        said = ensemble.read([_presses[index] for index in asked]).mean
+        readings = with_missing(dict(zip(asked, map(float, said), strict=True)), test)
+    except GelsimError as error:
+        return job, str(error), time.perf_counter() - began
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    return job, readings, time.perf_counter() - began
+
+
+def with_missing(readings: dict[int, float], test: Sequence[Body]) -> dict[int, float]:
+    """A press that shows no contact counts as the mean of the others."""
+    usual = float(np.mean(list(readings.values())))
+    return {index: round(readings.get(index, usual), 3) for body in test for index in body.presses}
+
+
+def random_checkpoint(like: checkpoint.Checkpoint, seed: int) -> checkpoint.Checkpoint:
+    """Of the same network with random weights; what stands for the middle and the width of the scale of hardness stays."""
+    torch.manual_seed(seed)
+    weights = build(like.config).state_dict() | {name: like.network[name] for name in ("centre", "scale")}
+    return checkpoint.Checkpoint(like.config, 0, weights)
+
+
+# ---- without training a network ----
+
+
+def untrained(presses: dict[int, Press], bodies: Sequence[Body], device: str) -> dict[str, dict[int, float]]:
+    """Readings of all presses by what saw no label of theirs: zero-shot, and matched to the simulated presses."""
+    order = [index for body in bodies for index in body.presses if index in presses]
+    shown = [presses[index] for index in order]
+    found: dict[str, list[NDArray]] = {}
+    for path in find_models(["default"]):
+        ensemble = Ensemble([path], pick_device(device))
+        novelty = ensemble.checkpoints[0].novelty
+        assert novelty is not None
+        network = ensemble.checkpoints[0].build()
+        assert isinstance(network, PressNet)
+        there = novelty["mean"].numpy()
+        spread = np.linalg.inv((novelty["whitening"].T @ novelty["whitening"]).numpy()) / len(there)
+        here = estimate(network.to(pick_device(device)), batches(shown, pick_device(device))).statistics.numpy()
+        units = network.config.hidden
+        found.setdefault("zero-shot", []).append(ensemble.read(shown).mean)
+        for name, features in matched(here[:, :units], there[:units], spread[:units, :units]).items():
+            said = network.cpu().head(torch.from_numpy(features).float())[:, 0].detach().numpy()
+            found.setdefault(f"matched, {name}", []).append(float(network.centre) + float(network.scale) * said)
+        pictures = [repainted(press, here[:, units:].mean(axis=0), there[units:]) for press in shown]
+        found.setdefault("matched, pictures", []).append(ensemble.read(pictures).mean)
+    named = {f"{way}/{start}": said for way, both in found.items() for start, said in zip(("paper2017", "varied"), both, strict=True)}
+    named |= {f"{way}/default": np.mean(both, axis=0) for way, both in found.items()}
+    return {key: with_missing(dict(zip(order, map(float, said), strict=True)), bodies) for key, said in named.items()}
+
+
+def matched(here: NDArray, mean: NDArray, covariance: NDArray) -> dict[str, NDArray]:
+    """Features (N, F) brought to a mean and a covariance."""
+    centred = here - here.mean(axis=0)
+    wide = np.sqrt(np.diag(covariance)) / centred.std(axis=0).clip(1e-6)
+    own = np.cov(centred.T)
+    own = 0.9 * own + 0.1 * np.diag(np.diag(own)) + 1e-6 * np.eye(len(own))  # as learn.novelty keeps the other regular
+
+    def power(matrix: NDArray, exponent: float) -> NDArray:
+        values, vectors = np.linalg.eigh(matrix)
+        return (vectors * values.clip(1e-9) ** exponent) @ vectors.T
+
+    return {
+        "mean": mean + centred, "mean and spread": mean + wide * centred,
+        "covariance": mean + centred @ power(own, -0.5) @ power(covariance, 0.5),
+    }  # fmt: skip
+
+
+def repainted(press: Press, here: NDArray, there: NDArray) -> Press:
+    """A press whose untouched gel has the colours and contrast, and whose change the contrast, that they have on average `there`: of
+    `learn.novelty.press_statistics` what follows the features."""
+    width = there[3:6] / here[3:6].clip(1e-6)
+    empty = (press.background - here[:3]) * width + there[:3]
+    change = (press.pictures - press.background) * (there[9:12] / here[9:12].clip(1e-6))
+    pictures = (empty + change).astype(np.float32)
+    empty = empty.astype(np.float32)
+    signal = np.maximum(np.abs(pictures - empty) - shipped_inputs().deadband_levels, 0).mean(axis=(1, 2, 3))
+    return replace(press, background=empty, pictures=pictures, signal=signal.astype(np.float32))
+
+
+def frozen(data: Dataset, presses: dict[int, Press], bodies: Sequence[Body], work: Path, splits: int, device: str) -> Iterator[dict]:
+    """Ridge regressions of the class on features that no label made, a line each."""
+    inputs, indices = shipped_inputs(), [index for body in bodies for index in body.presses if index in presses]
+    shown = batches([presses[index] for index in indices], pick_device(device))
+
+    def of_network(kept: checkpoint.Checkpoint) -> NDArray:
+        network = kept.build().to(pick_device(device))
+        assert isinstance(network, PressNet)
+        return estimate(network, shown).statistics.numpy()[:, : network.config.hidden]
+
+    kept = [checkpoint.load(path) for path in find_models(["default"])]
+    part = archive(data, indices, inputs, Reading(work / "cache"))
+    by_hand = [over_time((signal, features), inputs) for signal, features in zip(part.signals, part.features, strict=True)]
+    features = {
+        "paper2017": of_network(kept[0]),
+        "varied": of_network(kept[1]),
+        "hand-made": np.stack([part for part in by_hand if part is not None]),
+    }
+    features["default"] = np.hstack([features["paper2017"], features["varied"]])
+    for number in range(splits):
+        trained, test = split(bodies, number, max(COUNTS))
+        for start, seen_ in (*features.items(), ("random", of_network(random_checkpoint(kept[0], number)))):
+            scale = seen_.std(axis=0)
+            usual = (seen_ - seen_.mean(axis=0)) / np.where(scale > 1e-6, scale, 1.0)
+            of = dict(zip(indices, usual, strict=True))
+            for k, of_k in trained.items():
+                mean = np.stack([np.mean([of[index] for index in body.presses if index in of], axis=0) for body in of_k])
+                ranks = np.array([body.rank for body in of_k], float)
+                centred = mean - mean.mean(axis=0)
+                weights = centred.T @ ridge_weights(centred @ centred.T, ranks - ranks.mean())
+                said = {index: float(of[index] @ weights) for body in test for index in body.presses if index in of}
+                yield line("test", number, "ridge", start, k, with_missing(said, test))
+
+
+# ---- the study ----
+
+
+def line(stage: str, number: int, way: str, start: str, k: int, readings: dict[int, float], **more: Any) -> dict[str, Any]:
+    return {"stage": stage, "split": number, "way": way, "start": start, "k": k, **more, "readings": readings}
+
+
+def lines_of(out: Path) -> list[dict[str, Any]]:
+    """What is there; a last line that a stop cut off counts as not there."""
+    found = []
+    path = out / "results.jsonl"
+    for text in path.read_text().splitlines() if path.is_file() else ():
+        try:
+            found.append(json.loads(text))
+        except ValueError:
+            continue
+    for entry in found:
+        entry["readings"] = {int(index): value for index, value in entry["readings"].items()}
+    return found
+
+
+def study(options: argparse.Namespace) -> None:
+    until = time.monotonic() + options.seconds
+    out, work, data = options.out, options.work or options.out / "work", load_dataset(options.data)
+    bodies, device = bodies_of(data.rows), pick_device(options.device)
+    gpus = (options.gpus or torch.cuda.device_count()) if device.type == "cuda" else 0
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "bodies.json").write_text(json.dumps([vars(body) for body in bodies]))
+    presses, known = seen(data, work), lines_of(out)
+    with (out / "results.jsonl").open("a") as opened:
+
+        def write(entry: dict[str, Any]) -> None:
+            known.append(entry)
+            opened.write(json.dumps(entry) + "\n")
+            opened.flush()
+
+        if not any(entry["way"] == "zero-shot" for entry in known):
+            for key, readings in untrained(presses, bodies, options.device).items():
+                way, start = key.split("/")
+                write(line("test", -1, way, start, 0, readings))
+        done = {(entry["split"], entry["start"], entry["k"]) for entry in known if entry["way"] == "ridge"}
+        for entry in frozen(data, presses, bodies, work, options.splits, options.device):
+            if (entry["split"], entry["start"], entry["k"]) not in done:
+                write(entry)
+        context, place = get_context("spawn"), Place(options.data, work, options.device, gpus)
+        del presses
+        with context.Pool(options.workers, _begin, (place, context.Value("i", 0))) as pool:
+
+            def work_through(jobs: list[Job], until: float) -> None:
+                there, began = {entry.get("key") for entry in known}, time.monotonic()
+                left = [job for job in jobs if job.key not in there]
+                results = pool.imap_unordered(run, left)
+                for number in range(len(left)):
+                    try:
+                        job, readings, seconds = results.next(timeout=max(until - time.monotonic(), 0.01))
+                    except OutOfTime:
+                        print(f"{number} of {len(left)} trainings when the time was over", file=sys.stderr)
+                        return
+                    if isinstance(readings, str):
+                        print(f"{job.key}: {readings}", file=sys.stderr)
+                        continue
+                    more = {"key": job.key, "rate": job.rate, "steps": job.steps, "seconds": round(seconds, 1)}
+                    write(line(job.stage, job.split, "tuned", job.start, job.k, readings, **more))
+                    print(f"{time.monotonic() - began:.0f} s: {job.key}, {seconds:.1f} s, {number + 1} of {len(left)}", file=sys.stderr)
+
+            grids = {"paper2017": (options.rates, options.steps), "random": (options.random_rates, options.random_steps)}
+            work_through(
+                [
+                    Job("choose", number, start, CHOSEN_WITH, rate, steps, options.batch)
+                    for number in range(options.choices) for start, (rates, counts) in grids.items()
+                    for rate in rates for steps in counts
+                ], time.monotonic() + 0.3 * options.seconds,
+            )  # fmt: skip
+            chosen = choose(known, bodies)
+            print(f"chosen, rate and steps: {chosen}", file=sys.stderr)
+            chosen |= {"varied": chosen["paper2017"]}
+            work_through(
+                [
+                    Job("test", number, start, k, *chosen[start], options.batch)
+                    for number in range(options.splits) for k in options.k for start in ("paper2017", "varied", "random")
+                ], until,
+            )  # fmt: skip
+            pool.terminate()
+    table(out)
+
+
+def choose(known: Sequence[dict[str, Any]], bodies: list[Body]) -> dict[str, tuple[float, int]]:
+    """Rate and steps of the highest mean Spearman on the first half of things, by what is begun from."""
+    found: dict[str, dict[tuple[float, int], list[float]]] = {}
+    for entry in known:
+        if entry["stage"] == "choose":
+            of, most = stage_bodies(bodies, "choose")
+            score = scores(entry["readings"], split(of, entry["split"], most)[1])[0]
+            found.setdefault(entry["start"], {}).setdefault((entry["rate"], entry["steps"]), []).append(score)
+    return {start: max(settings, key=lambda setting: float(np.mean(settings[setting]))) for start, settings in found.items()}
+
+
+def table(out: Path) -> None:
+    """Prints the scores of what is there, mean and standard deviation over splits."""
+    bodies = [Body(of["name"], of["thing"], of["rank"], tuple(of["presses"])) for of in json.loads((out / "bodies.json").read_text())]
+    known = lines_of(out)
+    print("| chosen on the first half of things: start | rate | steps | Spearman | trainings |\n|---|---|---|---|---|")
+    for start in ("paper2017", "random"):
+        of, most = stage_bodies(bodies, "choose")
+        asked = [entry for entry in known if entry["stage"] == "choose" and entry["start"] == start]
+        for rate, steps in sorted({(entry["rate"], entry["steps"]) for entry in asked}):
+            found = [
+                scores(entry["readings"], split(of, entry["split"], most)[1])[0]
+                for entry in asked if (entry["rate"], entry["steps"]) == (rate, steps)
+            ]  # fmt: skip
+            print(f"| {start} | {rate:g} | {steps} | {np.mean(found):.2f} ± {np.std(found):.2f} | {len(found)} |")
+    by_way: dict[tuple[str, str, int], dict[int, dict[int, float]]] = {}
+    for entry in known:
+        if entry["stage"] == "test":
+            by_way.setdefault((entry["way"], entry["start"], entry["k"]), {})[entry["split"]] = entry["readings"]
+    for k in COUNTS:  # networks that read as one
+        one, other = (by_way.get(("tuned", start, k), {}) for start in ("paper2017", "varied"))
+        both = {number: {i: (one[number][i] + other[number][i]) / 2 for i in one[number]} for number in one if number in other}
+        if both:
+            by_way["tuned", "default", k] = both
+    tests = {number: split(bodies, number, max(COUNTS))[1] for number in sorted({number for of in by_way.values() for number in of} - {-1})}
+    zero = {start: by_way["zero-shot", start, 0][-1] for start in ("paper2017", "varied", "default")}
+    print("\n| way | begun from | objects | Spearman by object | hard, soft | hard, moderate | beyond zero-shot `default`, in | splits |")
+    print("|---|---|---|---|---|---|---|---|")
+    for (way, start, k), of in sorted(by_way.items(), key=lambda item: (item[0][0], item[0][1], item[0][2])):
+        readings = {number: of.get(number, of.get(-1)) for number in tests}
+        found = {number: scores(said, tests[number]) for number, said in readings.items() if said is not None}
+        gain = [found[number][0] - scores(zero["default"], tests[number])[0] for number in found]
+        cells = [f"{np.mean(part):.2f} ± {np.std(part):.2f}" for part in zip(*found.values(), strict=True)]
+        print(f"| {way} | {start} | {k} | {' | '.join(cells)} | {np.mean(gain):+.2f} ± {np.std(gain):.2f}, "
+              f"{100 * np.mean(np.array(gain) > 0):.0f} % | {len(found)} |")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parts = parser.add_subparsers(dest="part", required=True)
+    made = parts.add_parser("dataset")
+    made.add_argument("folder", type=Path)
+    made.add_argument("out", type=Path)
+    made.add_argument("--mm-per-px", type=float, required=True)
+    made.add_argument("--sensor", required=True)
+    asked = parts.add_parser("study")
+    asked.add_argument("data", type=Path)
+    asked.add_argument("out", type=Path)
+    asked.add_argument("--work", type=Path, help="where pictures and networks lie meanwhile, 1 GB (default: OUT/work)")
+    asked.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    asked.add_argument("--gpus", type=int, default=0, help="default: all")
+    asked.add_argument("--workers", type=int, default=2, help="trainings at once")
+    asked.add_argument("--seconds", type=float, default=1e6)
+    asked.add_argument("--splits", type=int, default=40)
+    asked.add_argument("--choices", type=int, default=8, help="splits of the first half by which rate and steps are chosen")
+    asked.add_argument("--batch", type=int, default=32)
+    asked.add_argument("--k", type=int, nargs="+", choices=tuple(COUNTS), default=list(COUNTS))
+    asked.add_argument("--rates", type=float, nargs="+", default=[1e-4, 3e-4, 1e-3])
+    asked.add_argument("--steps", type=int, nargs="+", default=[100, 300])
+    asked.add_argument("--random-rates", type=float, nargs="+", default=[3e-4, 1e-3, 3e-3])
+    asked.add_argument("--random-steps", type=int, nargs="+", default=[300, 900])
+    asked.add_argument("--quick", action="store_true", help="a trial of every part")
+    told = parts.add_parser("table")
+    told.add_argument("out", type=Path)
+    options = parser.parse_args()
+    if options.part == "dataset":
+        to_dataset(options.folder, options.out, options.mm_per_px, options.sensor)
+    elif options.part == "table":
+        table(options.out)
+    else:
+        if options.quick:
+            options.splits, options.choices, options.batch, options.k = 2, 1, 4, [2, 5]
+            options.rates, options.steps, options.random_rates, options.random_steps = [1e-4], [2], [1e-3], [2]
+        study(options)
+
+
+if __name__ == "__main__":
+    main()
