@@ -12,7 +12,7 @@ Ways: `tuned`, all weights by `learn.train.train` from a shipped network; `rando
 `ridge`, the frozen network's features of each video (or the hand-made ones of `learn.features`), a ridge regression of the class on
 their means by object, its penalty by leaving objects out. Rate and steps of the first two are chosen once, by the mean
 Spearman with 5 objects, on splits of the half of things that choices may rest on; things of both halves are then tested.
-`matched`: nothing is labelled; the features (mean; mean and spread; covariance: Sun et al. 2016, CORAL) or the pictures (mean and contrast
+`matched`: nothing is labelled; the features (mean and spread; covariance: Sun et al. 2016, CORAL) or the pictures (mean and contrast
 of the untouched gel, contrast of the change) of all real videos are brought to those of the simulated presses, which a checkpoint keeps.
 
 It goes on where it was stopped. --quick: two splits, a few steps, on a CPU in minutes. Scores are of test objects: Spearman by object (mean
@@ -29,6 +29,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from multiprocessing import TimeoutError as OutOfTime
 from multiprocessing import get_context
 from pathlib import Path
@@ -47,12 +48,12 @@ from learn.baselines import over_time, ridge_weights
 from learn.config import InputConfig, LearnError, configure
 from learn.data import Press, held_presses
 from learn.ensemble import Ensemble
-from learn.estimate import batches, estimate, pick_device
+from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.frames import equal_steps, loading
 from learn.framing import FIELD_MM, Framing
 from learn.model import PressNet, build
-from learn.predict import find_model, find_models
-from learn.recordings import Reading, archive
+from learn.predict import SHIPPED, find_model
+from learn.recordings import Archive, Reading, archive
 from learn.scores import spearman
 from learn.train import train
 from learn.video import sources
@@ -103,6 +104,8 @@ def to_dataset(folder: Path, out: Path, mm_per_px: float, sensor: str) -> None:
 CLASSES = SOFT, MODERATE, HARD = 0, 1, 2
 COUNTS = {2: (1, 0, 1), 5: (1, 2, 2), 10: (2, 4, 4), 20: (3, 8, 9)}
 """Objects of each class among k: from 5 on nearly as many of each as there are in all (6, 16, 16)."""
+CHOOSING = 0.3
+"""Share of the time that choosing rate and steps takes at most."""
 CHOSEN_WITH = 5
 """k by which rate and steps are chosen: the half of things for that has three hard ones."""
 
@@ -219,17 +222,18 @@ def _begin(place: Place, number: Any) -> None:
         mine, number.value = number.value, number.value + 1
     if place.gpus:
         torch.cuda.set_device(mine % place.gpus)
-    _place, _presses = place, seen(load_dataset(place.data), place.work)
+    _place, (_, _presses) = place, seen(load_dataset(place.data), place.work)
 
 
-def seen(dataset: Dataset, work: Path) -> dict[int, Press]:
-    """The presses of a dataset, by index, as a test sees them."""
+def seen(dataset: Dataset, work: Path) -> tuple[Archive, dict[int, Press]]:
+    """The labelled presses of a dataset as they are stored, and by index as a test sees them. All show contact: `to_dataset`."""
     inputs = shipped_inputs()
-    part = archive(dataset, [row["index"] for row in dataset.rows], inputs, Reading(work / "cache"))
+    part = archive(dataset, [row["index"] for row in dataset.rows if row["object"] != UNLABELLED], inputs, Reading(work / "cache"))
     found = held_presses(part, inputs, False, 0)
-    return {row["index"]: press for row, press in zip(part.rows, found, strict=True) if press is not None}
+    return part, {row["index"]: press for row, press in zip(part.rows, found, strict=True) if press is not None}
 
 
+@cache
 def shipped_inputs() -> InputConfig:
     return checkpoint.load(find_model("paper2017", "")).config.input
 
@@ -269,20 +273,14 @@ def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
     try:
         train(folder / "fold", folder / "run", config, init=init, device=_place.device, cache=_place.work / "cache")
         ensemble = Ensemble([folder / "run" / "model.pt"], pick_device(_place.device))
-        asked = [index for body in test for index in body.presses if index in _presses]
+        asked = [index for body in test for index in body.presses]
         said = ensemble.read([_presses[index] for index in asked]).mean
-        readings = with_missing(dict(zip(asked, map(float, said), strict=True)), test)
+        readings = {index: round(float(reading), 3) for index, reading in zip(asked, said, strict=True)}
     except GelsimError as error:
         return job, str(error), time.perf_counter() - began
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return job, readings, time.perf_counter() - began
-
-
-def with_missing(readings: dict[int, float], test: Sequence[Body]) -> dict[int, float]:
-    """A press that shows no contact counts as the mean of the others."""
-    usual = float(np.mean(list(readings.values())))
-    return {index: round(readings.get(index, usual), 3) for body in test for index in body.presses}
 
 
 def random_checkpoint(like: checkpoint.Checkpoint, seed: int) -> checkpoint.Checkpoint:
@@ -295,30 +293,33 @@ def random_checkpoint(like: checkpoint.Checkpoint, seed: int) -> checkpoint.Chec
 # ---- without training a network ----
 
 
-def untrained(presses: dict[int, Press], bodies: Sequence[Body], device: str) -> dict[str, dict[int, float]]:
-    """Readings of all presses by what saw no label of theirs: zero-shot, and matched to the simulated presses."""
-    order = [index for body in bodies for index in body.presses if index in presses]
-    shown = [presses[index] for index in order]
-    found: dict[str, list[NDArray]] = {}
-    for path in find_models(["default"]):
-        ensemble = Ensemble([path], pick_device(device))
-        novelty = ensemble.checkpoints[0].novelty
-        assert novelty is not None
-        network = ensemble.checkpoints[0].build()
-        assert isinstance(network, PressNet)
-        there = novelty["mean"].numpy()
-        spread = np.linalg.inv((novelty["whitening"].T @ novelty["whitening"]).numpy()) / len(there)
-        here = estimate(network.to(pick_device(device)), batches(shown, pick_device(device))).statistics.numpy()
-        units = network.config.hidden
-        found.setdefault("zero-shot", []).append(ensemble.read(shown).mean)
+def statistics(kept: checkpoint.Checkpoint, presses: Sequence[Press], device: str) -> Estimates:
+    """What a network says of presses, with `learn.novelty.press_statistics`, of which its features come first."""
+    place = pick_device(device)
+    return estimate(kept.build().to(place), batches(presses, place))
+
+
+def untrained(presses: Sequence[Press], said: dict[str, Estimates], device: str) -> dict[tuple[str, str], NDArray]:
+    """Readings by what saw no label of theirs: zero-shot, and matched to the simulated presses; by way and network.
+
+    Args:
+        said: Of the shipped networks, their `statistics`.
+    """
+    found: dict[tuple[str, str], NDArray] = {}
+    for start, of in said.items():
+        kept = checkpoint.load(find_model(start, ""))
+        network = kept.build()
+        assert isinstance(network, PressNet) and kept.novelty is not None
+        there, here, units = kept.novelty["mean"].numpy(), of.statistics.numpy(), network.config.hidden
+        spread = np.linalg.inv((kept.novelty["whitening"].T @ kept.novelty["whitening"]).numpy()) / len(there)
+        found["zero-shot", start] = of.mean
         for name, features in matched(here[:, :units], there[:units], spread[:units, :units]).items():
-            said = network.cpu().head(torch.from_numpy(features).float())[:, 0].detach().numpy()
-            found.setdefault(f"matched, {name}", []).append(float(network.centre) + float(network.scale) * said)
-        pictures = [repainted(press, here[:, units:].mean(axis=0), there[units:]) for press in shown]
-        found.setdefault("matched, pictures", []).append(ensemble.read(pictures).mean)
-    named = {f"{way}/{start}": said for way, both in found.items() for start, said in zip(("paper2017", "varied"), both, strict=True)}
-    named |= {f"{way}/default": np.mean(both, axis=0) for way, both in found.items()}
-    return {key: with_missing(dict(zip(order, map(float, said), strict=True)), bodies) for key, said in named.items()}
+            raw = network.head(torch.from_numpy(features).float())[:, 0].detach().numpy()
+            found[f"matched, {name}", start] = float(network.centre) + float(network.scale) * raw
+        pictures = [repainted(press, here[:, units:].mean(axis=0), there[units:]) for press in presses]
+        found["matched, pictures", start] = statistics(kept, pictures, device).mean
+    both = {way: np.mean([found[way, start] for start in said], axis=0) for way, _ in found}
+    return found | {(way, "default"): mean for way, mean in both.items()}
 
 
 def matched(here: NDArray, mean: NDArray, covariance: NDArray) -> dict[str, NDArray]:
@@ -333,7 +334,7 @@ def matched(here: NDArray, mean: NDArray, covariance: NDArray) -> dict[str, NDAr
         return (vectors * values.clip(1e-9) ** exponent) @ vectors.T
 
     return {
-        "mean": mean + centred, "mean and spread": mean + wide * centred,
+        "mean and spread": mean + wide * centred,
         "covariance": mean + centred @ power(own, -0.5) @ power(covariance, 0.5),
     }  # fmt: skip
 
@@ -350,38 +351,30 @@ def repainted(press: Press, here: NDArray, there: NDArray) -> Press:
     return replace(press, background=empty, pictures=pictures, signal=signal.astype(np.float32))
 
 
-def frozen(data: Dataset, presses: dict[int, Press], bodies: Sequence[Body], work: Path, splits: int, device: str) -> Iterator[dict]:
-    """Ridge regressions of the class on features that no label made, a line each."""
-    inputs, indices = shipped_inputs(), [index for body in bodies for index in body.presses if index in presses]
-    shown = batches([presses[index] for index in indices], pick_device(device))
-
-    def of_network(kept: checkpoint.Checkpoint) -> NDArray:
-        network = kept.build().to(pick_device(device))
-        assert isinstance(network, PressNet)
-        return estimate(network, shown).statistics.numpy()[:, : network.config.hidden]
-
-    kept = [checkpoint.load(path) for path in find_models(["default"])]
-    part = archive(data, indices, inputs, Reading(work / "cache"))
-    by_hand = [over_time((signal, features), inputs) for signal, features in zip(part.signals, part.features, strict=True)]
-    features = {
-        "paper2017": of_network(kept[0]),
-        "varied": of_network(kept[1]),
-        "hand-made": np.stack([part for part in by_hand if part is not None]),
-    }
-    features["default"] = np.hstack([features["paper2017"], features["varied"]])
+def frozen(
+    part: Archive, presses: Sequence[Press], bodies: Sequence[Body], said: dict[str, Estimates], splits: int, device: str
+) -> Iterator[dict[str, Any]]:
+    """Ridge regressions of the class on features that no label made, a line each; `part`: the archive of the presses."""
+    indices, kept = [row["index"] for row in part.rows], checkpoint.load(find_model("paper2017", ""))
+    units, inputs = kept.config.model.hidden, shipped_inputs()
+    by_hand = [over_time(curve, inputs) for curve in zip(part.signals, part.features, strict=True)]
+    features = {start: of.statistics.numpy()[:, :units] for start, of in said.items()}
+    features["default"] = np.hstack(list(features.values()))
+    features["hand-made"] = np.stack([one for one in by_hand if one is not None])
     for number in range(splits):
         trained, test = split(bodies, number, max(COUNTS))
-        for start, seen_ in (*features.items(), ("random", of_network(random_checkpoint(kept[0], number)))):
-            scale = seen_.std(axis=0)
-            usual = (seen_ - seen_.mean(axis=0)) / np.where(scale > 1e-6, scale, 1.0)
+        features["random"] = statistics(random_checkpoint(kept, number), presses, device).statistics.numpy()[:, :units]
+        for start, of_start in features.items():
+            scale = of_start.std(axis=0)
+            usual = (of_start - of_start.mean(axis=0)) / np.where(scale > 1e-6, scale, 1.0)
             of = dict(zip(indices, usual, strict=True))
             for k, of_k in trained.items():
-                mean = np.stack([np.mean([of[index] for index in body.presses if index in of], axis=0) for body in of_k])
+                mean = np.stack([np.mean([of[index] for index in body.presses], axis=0) for body in of_k])
                 ranks = np.array([body.rank for body in of_k], float)
                 centred = mean - mean.mean(axis=0)
                 weights = centred.T @ ridge_weights(centred @ centred.T, ranks - ranks.mean())
-                said = {index: float(of[index] @ weights) for body in test for index in body.presses if index in of}
-                yield line("test", number, "ridge", start, k, with_missing(said, test))
+                readings = {index: round(float(of[index] @ weights), 4) for body in test for index in body.presses}
+                yield line("test", number, "ridge", start, k, readings)
 
 
 # ---- the study ----
@@ -412,7 +405,8 @@ def study(options: argparse.Namespace) -> None:
     gpus = (options.gpus or torch.cuda.device_count()) if device.type == "cuda" else 0
     out.mkdir(parents=True, exist_ok=True)
     (out / "bodies.json").write_text(json.dumps([vars(body) for body in bodies]))
-    presses, known = seen(data, work), lines_of(out)
+    (part, presses), known = seen(data, work), lines_of(out)
+    said = {name: statistics(checkpoint.load(find_model(name, "")), list(presses.values()), options.device) for name in SHIPPED["default"]}
     with (out / "results.jsonl").open("a") as opened:
 
         def write(entry: dict[str, Any]) -> None:
@@ -421,20 +415,19 @@ def study(options: argparse.Namespace) -> None:
             opened.flush()
 
         if not any(entry["way"] == "zero-shot" for entry in known):
-            for key, readings in untrained(presses, bodies, options.device).items():
-                way, start = key.split("/")
-                write(line("test", -1, way, start, 0, readings))
+            for (way, start), mean in untrained(list(presses.values()), said, options.device).items():
+                write(line("test", -1, way, start, 0, dict(zip(presses, mean.round(3).tolist(), strict=True))))
         done = {(entry["split"], entry["start"], entry["k"]) for entry in known if entry["way"] == "ridge"}
-        for entry in frozen(data, presses, bodies, work, options.splits, options.device):
+        for entry in frozen(part, list(presses.values()), bodies, said, options.splits, options.device):
             if (entry["split"], entry["start"], entry["k"]) not in done:
                 write(entry)
         context, place = get_context("spawn"), Place(options.data, work, options.device, gpus)
-        del presses
-        with context.Pool(options.workers, _begin, (place, context.Value("i", 0))) as pool:
+        del presses, part
 
-            def work_through(jobs: list[Job], until: float) -> None:
-                there, began = {entry.get("key") for entry in known}, time.monotonic()
-                left = [job for job in jobs if job.key not in there]
+        def work_through(jobs: list[Job], until: float) -> None:
+            there, began = {entry.get("key") for entry in known}, time.monotonic()
+            left = [job for job in jobs if job.key not in there]
+            with context.Pool(min(options.workers, max(len(left), 1)), _begin, (place, context.Value("i", 0))) as pool:
                 results = pool.imap_unordered(run, left)
                 for number in range(len(left)):
                     try:
@@ -447,26 +440,23 @@ def study(options: argparse.Namespace) -> None:
                         continue
                     more = {"key": job.key, "rate": job.rate, "steps": job.steps, "seconds": round(seconds, 1)}
                     write(line(job.stage, job.split, "tuned", job.start, job.k, readings, **more))
-                    print(f"{time.monotonic() - began:.0f} s: {job.key}, {seconds:.1f} s, {number + 1} of {len(left)}", file=sys.stderr)
+                    spent = time.monotonic() - began
+                    print(f"{spent:.0f} s: {job.key}, {seconds:.1f} s, {number + 1} of {len(left)}", file=sys.stderr, flush=True)
 
-            grids = {"paper2017": (options.rates, options.steps), "random": (options.random_rates, options.random_steps)}
-            work_through(
-                [
-                    Job("choose", number, start, CHOSEN_WITH, rate, steps, options.batch)
-                    for number in range(options.choices) for start, (rates, counts) in grids.items()
-                    for rate in rates for steps in counts
-                ], time.monotonic() + 0.3 * options.seconds,
-            )  # fmt: skip
-            chosen = choose(known, bodies)
-            print(f"chosen, rate and steps: {chosen}", file=sys.stderr)
-            chosen |= {"varied": chosen["paper2017"]}
-            work_through(
-                [
-                    Job("test", number, start, k, *chosen[start], options.batch)
-                    for number in range(options.splits) for k in options.k for start in ("paper2017", "varied", "random")
-                ], until,
-            )  # fmt: skip
-            pool.terminate()
+        grids = {"paper2017": (options.rates, options.steps), "random": (options.random_rates, options.random_steps)}
+        choices = [
+            Job("choose", number, start, CHOSEN_WITH, rate, steps, options.batch)
+            for number in range(options.choices) for start, (rates, counts) in grids.items() for rate in rates for steps in counts
+        ]  # fmt: skip
+        work_through(choices, min(time.monotonic() + CHOOSING * options.seconds, until))
+        chosen = choose(known, bodies)
+        print(f"chosen, rate and steps: {chosen}", file=sys.stderr)
+        chosen |= {"varied": chosen["paper2017"]}
+        tests = [
+            Job("test", number, start, k, *chosen[start], options.batch)
+            for number in range(options.splits) for k in options.k for start in ("paper2017", "varied", "random")
+        ]  # fmt: skip
+        work_through(tests, until)
     table(out)
 
 
