@@ -9,9 +9,9 @@ until 20 objects of three classes can be trained on; the objects of all other th
 are among those of the next larger k. All videos of an object are trained on, told gel and scale, known by class alone.
 
 Ways: `tuned`, all weights by `learn.train.train` from a shipped network; `random`, the same network, data and code from random weights;
-`ridge`, the frozen network's features of each video (or the hand-made ones of `learn.features`), a ridge regression of the class on
-their means by object, its penalty by leaving objects out. Rate and steps of the first two are chosen once, by the mean
-Spearman with 5 objects, on splits of the half of things that choices may rest on; things of both halves are then tested.
+`head`, its last layer alone, by the same likelihood; `ridge`, a ridge regression of the class on the frozen network's features of each
+video (or on the hand-made ones of `learn.features`). Rate and steps, or the penalty, are chosen once for all k, by the mean Spearman with 5
+objects on splits of the half of things that choices may rest on (12 to test, of which 1 is hard); things of both halves are then tested.
 `matched`: nothing is labelled; the features (mean and spread; covariance: Sun et al. 2016, CORAL) or the pictures (mean and contrast
 of the untouched gel, contrast of the change) of all real videos are brought to those of the simulated presses, which a checkpoint keeps.
 
@@ -44,14 +44,14 @@ from gelsim.errors import GelsimError
 from gelsim.results import Episode
 from gelsim.scene.layers import build_scene
 from learn import checkpoint
-from learn.baselines import over_time, ridge_weights
+from learn.baselines import over_time
 from learn.config import InputConfig, LearnError, configure
-from learn.data import Press, held_presses
+from learn.data import UNBOUND, Batch, Press, held_presses
 from learn.ensemble import Ensemble
 from learn.estimate import Estimates, batches, estimate, pick_device
 from learn.frames import equal_steps, loading
 from learn.framing import FIELD_MM, Framing
-from learn.model import PressNet, build
+from learn.model import SPREADS, Output, PressNet, build, read_tensors
 from learn.predict import SHIPPED, find_model
 from learn.recordings import Archive, Reading, archive
 from learn.scores import spearman
@@ -61,6 +61,8 @@ from learn.video import sources
 KEPT = 24
 """Frames of a press that travel, at equal steps of its signal; a network sees eight."""
 UNLABELLED = "unlabelled"
+FEATURES = "features.pt"
+"""Of the shipped networks, by network and press, between processes."""
 
 
 def to_dataset(folder: Path, out: Path, mm_per_px: float, sensor: str) -> None:
@@ -189,6 +191,7 @@ class Job:
     stage: str
     """choose: on the first half of things; test: on all."""
     split: int
+    way: str
     start: str
     k: int
     rate: float
@@ -197,7 +200,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        return f"{self.stage}-{self.split}-{self.start}-{self.k}-{self.rate:g}-{self.steps}"
+        return f"{self.stage}-{self.split}-{self.way}-{self.start}-{self.k}-{self.rate:g}-{self.steps}"
 
 
 @dataclass(frozen=True)
@@ -249,6 +252,8 @@ def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
     dataset = load_dataset(_place.data)
     bodies, most = stage_bodies(bodies_of(dataset.rows), job.stage)
     trained, test = split(bodies, job.split, most)
+    if job.way == "head":
+        return job, head_tuned(job, trained[job.k], test), time.perf_counter() - began
     folder = _place.work / job.key
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "fold").mkdir(parents=True)
@@ -281,6 +286,34 @@ def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return job, readings, time.perf_counter() - began
+
+
+def head_tuned(job: Job, trained: Sequence[Body], test: Sequence[Body]) -> dict[int, float]:
+    """Readings of a network whose last layer alone was trained, and the cuts between classes, by `PressNet.loss`."""
+    kept = checkpoint.load(find_model(job.start, ""))
+    network = build(replace(kept.config, model=replace(kept.config.model, classes=len(CLASSES))))
+    assert isinstance(network, PressNet) and network.cuts is not None
+    network.load_state_dict(kept.network, strict=False)
+    features = read_tensors(_place.work / FEATURES, 2**24)
+    ranks = torch.tensor([body.rank for body in trained for _ in body.presses])
+    shown = torch.stack([features[job.start][index] for body in trained for index in body.presses])
+    none, count = torch.empty(0), len(ranks)
+    batch = Batch(
+        none, none, none, torch.ones(count, dtype=torch.int64), torch.full((count,), torch.nan), torch.tensor([UNBOUND] * count), ranks,
+        none, none,
+    )  # fmt: skip
+    optimizer = torch.optim.Adam([*network.head.parameters(), network.cuts], lr=job.rate)
+    for _ in range(job.steps):
+        said = network.head(shown)[:, None]
+        spread = (network.scale * torch.nn.functional.softplus(said[..., 1])).clamp(*SPREADS)
+        loss = network.loss(Output(network.centre + network.scale * said[..., 0], spread, shown), batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    with torch.no_grad():
+        asked = [index for body in test for index in body.presses]
+        raw = network.head(torch.stack([features[job.start][index] for index in asked]))[:, 0]
+        return {index: round(float(network.centre + network.scale * value), 3) for index, value in zip(asked, raw, strict=True)}
 
 
 def random_checkpoint(like: checkpoint.Checkpoint, seed: int) -> checkpoint.Checkpoint:
@@ -351,30 +384,55 @@ def repainted(press: Press, here: NDArray, there: NDArray) -> Press:
     return replace(press, background=empty, pictures=pictures, signal=signal.astype(np.float32))
 
 
-def frozen(
-    part: Archive, presses: Sequence[Press], bodies: Sequence[Body], said: dict[str, Estimates], splits: int, device: str
-) -> Iterator[dict[str, Any]]:
-    """Ridge regressions of the class on features that no label made, a line each; `part`: the archive of the presses."""
-    indices, kept = [row["index"] for row in part.rows], checkpoint.load(find_model("paper2017", ""))
-    units, inputs = kept.config.model.hidden, shipped_inputs()
-    by_hand = [over_time(curve, inputs) for curve in zip(part.signals, part.features, strict=True)]
+PENALTIES = (0.1, 1.0, 10.0, 100.0)
+"""Of ridge regressions, in mean eigenvalues."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frozen:
+    """Features of presses that no label made, by what made them, each (N, F); random weights are others in each split."""
+
+    presses: dict[int, Press]
+    features: dict[str, NDArray]
+    device: str
+
+    def of(self, start: str, number: int) -> dict[int, NDArray]:
+        """Standardised over all presses."""
+        if start == "random":
+            kept = checkpoint.load(find_model("paper2017", ""))
+            said = statistics(random_checkpoint(kept, number), list(self.presses.values()), self.device)
+            found = said.statistics.numpy()[:, : kept.config.model.hidden]
+        else:
+            found = self.features[start]
+        scale = found.std(axis=0)
+        return dict(zip(self.presses, (found - found.mean(axis=0)) / np.where(scale > 1e-6, scale, 1.0), strict=True))
+
+    def ridge(self, bodies: list[Body], stage: str, number: int, penalties: dict[str, Sequence[float]]) -> Iterator[dict[str, Any]]:
+        """Regressions of the class of a split, a line each."""
+        part, most = stage_bodies(bodies, stage)
+        trained, test = split(part, number, most)
+        for start, of_start in penalties.items():
+            of = self.of(start, number)
+            for k, of_k in trained.items() if stage == "test" else [(CHOSEN_WITH, trained[CHOSEN_WITH])]:
+                shown = np.stack([of[index] for body in of_k for index in body.presses])
+                ranks = np.array([body.rank for body in of_k for _ in body.presses], float)
+                centred = shown - shown.mean(axis=0)
+                gram = centred @ centred.T
+                for penalty in of_start:
+                    damped = gram + penalty * np.trace(gram) / len(gram) * np.eye(len(gram))
+                    weights = centred.T @ np.linalg.solve(damped, ranks - ranks.mean())
+                    readings = {index: round(float(of[index] @ weights), 5) for body in test for index in body.presses}
+                    yield line(stage, number, "ridge", start, k, readings, setting=[penalty])
+
+
+def frozen(part: Archive, presses: dict[int, Press], said: dict[str, Estimates], device: str) -> Frozen:
+    """`part`: the archive of the presses; `said`: the shipped networks' `statistics` of them."""
+    by_hand = [over_time(curve, shipped_inputs()) for curve in zip(part.signals, part.features, strict=True)]
+    units = checkpoint.load(find_model("paper2017", "")).config.model.hidden
     features = {start: of.statistics.numpy()[:, :units] for start, of in said.items()}
     features["default"] = np.hstack(list(features.values()))
     features["hand-made"] = np.stack([one for one in by_hand if one is not None])
-    for number in range(splits):
-        trained, test = split(bodies, number, max(COUNTS))
-        features["random"] = statistics(random_checkpoint(kept, number), presses, device).statistics.numpy()[:, :units]
-        for start, of_start in features.items():
-            scale = of_start.std(axis=0)
-            usual = (of_start - of_start.mean(axis=0)) / np.where(scale > 1e-6, scale, 1.0)
-            of = dict(zip(indices, usual, strict=True))
-            for k, of_k in trained.items():
-                mean = np.stack([np.mean([of[index] for index in body.presses], axis=0) for body in of_k])
-                ranks = np.array([body.rank for body in of_k], float)
-                centred = mean - mean.mean(axis=0)
-                weights = centred.T @ ridge_weights(centred @ centred.T, ranks - ranks.mean())
-                readings = {index: round(float(of[index] @ weights), 4) for body in test for index in body.presses}
-                yield line("test", number, "ridge", start, k, readings)
+    return Frozen(presses, features, device)
 
 
 # ---- the study ----
@@ -417,10 +475,19 @@ def study(options: argparse.Namespace) -> None:
         if not any(entry["way"] == "zero-shot" for entry in known):
             for (way, start), mean in untrained(list(presses.values()), said, options.device).items():
                 write(line("test", -1, way, start, 0, dict(zip(presses, mean.round(3).tolist(), strict=True))))
-        done = {(entry["split"], entry["start"], entry["k"]) for entry in known if entry["way"] == "ridge"}
-        for entry in frozen(part, list(presses.values()), bodies, said, options.splits, options.device):
-            if (entry["split"], entry["start"], entry["k"]) not in done:
-                write(entry)
+        still = frozen(part, presses, said, options.device)
+        tensors = {start: dict(zip(presses, torch.from_numpy(still.features[start]).float(), strict=True)) for start in said}
+        torch.save(tensors, work / FEATURES)
+        starts = (*still.features, "random")
+
+        def regress(stage: str, splits: int, penalties: dict[str, Sequence[float]]) -> None:
+            there = {entry["split"] for entry in known if (entry["stage"], entry["way"]) == (stage, "ridge")}
+            for number in set(range(splits)) - there:
+                for entry in list(still.ridge(bodies, stage, number, penalties)):
+                    write(entry)
+
+        regress("choose", options.choices, dict.fromkeys(starts, PENALTIES))
+        regress("test", options.splits, {start: choose(known, bodies)["ridge", start] for start in starts})
         context, place = get_context("spawn"), Place(options.data, work, options.device, gpus)
         del presses, part
 
@@ -438,64 +505,70 @@ def study(options: argparse.Namespace) -> None:
                     if isinstance(readings, str):
                         print(f"{job.key}: {readings}", file=sys.stderr)
                         continue
-                    more = {"key": job.key, "rate": job.rate, "steps": job.steps, "seconds": round(seconds, 1)}
-                    write(line(job.stage, job.split, "tuned", job.start, job.k, readings, **more))
+                    more = {"key": job.key, "setting": [job.rate, job.steps], "seconds": round(seconds, 1)}
+                    write(line(job.stage, job.split, job.way, job.start, job.k, readings, **more))
                     spent = time.monotonic() - began
                     print(f"{spent:.0f} s: {job.key}, {seconds:.1f} s, {number + 1} of {len(left)}", file=sys.stderr, flush=True)
 
-        grids = {"paper2017": (options.rates, options.steps), "random": (options.random_rates, options.random_steps)}
+        grids = {
+            ("head", "paper2017"): (options.head_rates, options.head_steps),
+            ("head", "varied"): (options.head_rates, options.head_steps),
+            ("tuned", "paper2017"): (options.rates, options.steps),
+            ("tuned", "random"): (options.random_rates, options.random_steps),
+        }
         choices = [
-            Job("choose", number, start, CHOSEN_WITH, rate, steps, options.batch)
-            for number in range(options.choices) for start, (rates, counts) in grids.items() for rate in rates for steps in counts
+            Job("choose", number, way, start, CHOSEN_WITH, rate, steps, options.batch)
+            for number in range(options.choices) for (way, start), (rates, counts) in grids.items() for rate in rates for steps in counts
         ]  # fmt: skip
         work_through(choices, min(time.monotonic() + CHOOSING * options.seconds, until))
         chosen = choose(known, bodies)
-        print(f"chosen, rate and steps: {chosen}", file=sys.stderr)
-        chosen |= {"varied": chosen["paper2017"]}
+        print(f"chosen: {chosen}", file=sys.stderr)
+        chosen["tuned", "varied"] = chosen["tuned", "paper2017"]
         tests = [
-            Job("test", number, start, k, *chosen[start], options.batch)
-            for number in range(options.splits) for k in options.k for start in ("paper2017", "varied", "random")
+            Job("test", number, way, start, k, chosen[way, start][0], chosen[way, start][1], options.batch)
+            for number in range(options.splits) for k in options.k for way, start in (*grids, ("tuned", "varied"))
         ]  # fmt: skip
         work_through(tests, until)
     table(out)
 
 
-def choose(known: Sequence[dict[str, Any]], bodies: list[Body]) -> dict[str, tuple[float, int]]:
-    """Rate and steps of the highest mean Spearman on the first half of things, by what is begun from."""
-    found: dict[str, dict[tuple[float, int], list[float]]] = {}
+def choices_of(known: Sequence[dict[str, Any]], bodies: list[Body]) -> dict[tuple[str, str], dict[tuple[float, ...], list[float]]]:
+    """Spearman on the first half of things by setting, of each way and what it begins from."""
+    found: dict[tuple[str, str], dict[tuple[float, ...], list[float]]] = {}
+    part, most = stage_bodies(bodies, "choose")
     for entry in known:
         if entry["stage"] == "choose":
-            of, most = stage_bodies(bodies, "choose")
-            score = scores(entry["readings"], split(of, entry["split"], most)[1])[0]
-            found.setdefault(entry["start"], {}).setdefault((entry["rate"], entry["steps"]), []).append(score)
-    return {start: max(settings, key=lambda setting: float(np.mean(settings[setting]))) for start, settings in found.items()}
+            score = scores(entry["readings"], split(part, entry["split"], most)[1])[0]
+            found.setdefault((entry["way"], entry["start"]), {}).setdefault(tuple(entry["setting"]), []).append(score)
+    return found
+
+
+def choose(known: Sequence[dict[str, Any]], bodies: list[Body]) -> dict[tuple[str, str], Any]:
+    """The setting of the highest mean."""
+    found = choices_of(known, bodies)
+    return {way: max(settings, key=lambda setting, of=settings: float(np.mean(of[setting]))) for way, settings in found.items()}
 
 
 def table(out: Path) -> None:
     """Prints the scores of what is there, mean and standard deviation over splits."""
     bodies = [Body(of["name"], of["thing"], of["rank"], tuple(of["presses"])) for of in json.loads((out / "bodies.json").read_text())]
     known = lines_of(out)
-    print("| chosen on the first half of things: start | rate | steps | Spearman | trainings |\n|---|---|---|---|---|")
-    for start in ("paper2017", "random"):
-        of, most = stage_bodies(bodies, "choose")
-        asked = [entry for entry in known if entry["stage"] == "choose" and entry["start"] == start]
-        for rate, steps in sorted({(entry["rate"], entry["steps"]) for entry in asked}):
-            found = [
-                scores(entry["readings"], split(of, entry["split"], most)[1])[0]
-                for entry in asked if (entry["rate"], entry["steps"]) == (rate, steps)
-            ]  # fmt: skip
-            print(f"| {start} | {rate:g} | {steps} | {np.mean(found):.2f} ± {np.std(found):.2f} | {len(found)} |")
+    print("| chosen on the first half of things | begun from | rate and steps, or penalty | Spearman | splits |\n|---|---|---|---|---|")
+    for (way, start), settings in sorted(choices_of(known, bodies).items()):
+        for setting, of in sorted(settings.items()):
+            print(f"| {way} | {start} | {', '.join(f'{part:g}' for part in setting)} | {np.mean(of):.2f} ± {np.std(of):.2f} | {len(of)} |")
     by_way: dict[tuple[str, str, int], dict[int, dict[int, float]]] = {}
     for entry in known:
         if entry["stage"] == "test":
             by_way.setdefault((entry["way"], entry["start"], entry["k"]), {})[entry["split"]] = entry["readings"]
-    for k in COUNTS:  # networks that read as one
-        one, other = (by_way.get(("tuned", start, k), {}) for start in ("paper2017", "varied"))
-        both = {number: {i: (one[number][i] + other[number][i]) / 2 for i in one[number]} for number in one if number in other}
-        if both:
-            by_way["tuned", "default", k] = both
+    for way in ("tuned", "head"):
+        for k in COUNTS:  # networks that read as one
+            one, other = (by_way.get((way, start, k), {}) for start in SHIPPED["default"])
+            both = {number: {i: (one[number][i] + other[number][i]) / 2 for i in one[number]} for number in one if number in other}
+            if both:
+                by_way[way, "default", k] = both
     tests = {number: split(bodies, number, max(COUNTS))[1] for number in sorted({number for of in by_way.values() for number in of} - {-1})}
-    zero = {start: by_way["zero-shot", start, 0][-1] for start in ("paper2017", "varied", "default")}
+    zero = {start: by_way["zero-shot", start, 0][-1] for start in (*SHIPPED["default"], "default")}
     print("\n| way | begun from | objects | Spearman by object | hard, soft | hard, moderate | beyond zero-shot `default`, in | splits |")
     print("|---|---|---|---|---|---|---|---|")
     for (way, start, k), of in sorted(by_way.items(), key=lambda item: (item[0][0], item[0][1], item[0][2])):
@@ -529,6 +602,8 @@ def main() -> None:
     asked.add_argument("--k", type=int, nargs="+", choices=tuple(COUNTS), default=list(COUNTS))
     asked.add_argument("--rates", type=float, nargs="+", default=[1e-4, 3e-4, 1e-3])
     asked.add_argument("--steps", type=int, nargs="+", default=[100, 300])
+    asked.add_argument("--head-rates", type=float, nargs="+", default=[1e-3, 1e-2])
+    asked.add_argument("--head-steps", type=int, nargs="+", default=[30, 100, 300])
     asked.add_argument("--random-rates", type=float, nargs="+", default=[3e-4, 1e-3, 3e-3])
     asked.add_argument("--random-steps", type=int, nargs="+", default=[300, 900])
     asked.add_argument("--quick", action="store_true", help="a trial of every part")
@@ -543,6 +618,7 @@ def main() -> None:
         if options.quick:
             options.splits, options.choices, options.batch, options.k = 2, 1, 4, [2, 5]
             options.rates, options.steps, options.random_rates, options.random_steps = [1e-4], [2], [1e-3], [2]
+            options.head_rates, options.head_steps = [1e-3], [30, 100]
         study(options)
 
 
