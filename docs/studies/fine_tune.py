@@ -15,7 +15,7 @@ objects on splits of the half of things that choices may rest on (12 to test, of
 `matched`: nothing is labelled; the features (mean and spread; covariance: Sun et al. 2016, CORAL) or the pictures (mean and contrast
 of the untouched gel, contrast of the change) of all real videos are brought to those of the simulated presses, which a checkpoint keeps.
 
-It goes on where it was stopped. --quick: two splits, a few steps, on a CPU in minutes. Scores are of test objects: Spearman by object (mean
+It goes on where it was stopped. --quick: one split, a few steps, on a CPU in minutes. Scores are of test objects: Spearman by object (mean
 of its videos), areas under the curve by video.
 """
 
@@ -494,7 +494,9 @@ def study(options: argparse.Namespace) -> None:
         def work_through(jobs: list[Job], until: float) -> None:
             there, began = {entry.get("key") for entry in known}, time.monotonic()
             left = [job for job in jobs if job.key not in there]
-            with context.Pool(min(options.workers, max(len(left), 1)), _begin, (place, context.Value("i", 0))) as pool:
+            if not left:
+                return
+            with context.Pool(min(options.workers, len(left)), _begin, (place, context.Value("i", 0))) as pool:
                 results = pool.imap_unordered(run, left)
                 for number in range(len(left)):
                     try:
@@ -616,7 +618,7 @@ def main() -> None:
         table(options.out)
     else:
         if options.quick:
-            options.splits, options.choices, options.batch, options.k = 2, 1, 4, [2, 5]
+            options.splits, options.choices, options.batch, options.k = 1, 1, 4, [2, 5]
             options.rates, options.steps, options.random_rates, options.random_steps = [1e-4], [2], [1e-3], [2]
             options.head_rates, options.head_steps = [1e-3], [30, 100]
         study(options)
