@@ -281,7 +281,7 @@ def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
         asked = [index for body in test for index in body.presses]
         said = ensemble.read([_presses[index] for index in asked]).mean
         readings = {index: round(float(reading), 3) for index, reading in zip(asked, said, strict=True)}
-    except GelsimError as error:
+    except (GelsimError, RuntimeError) as error:  # weights that ran away, a GPU without memory: the other trainings go on
         return job, str(error), time.perf_counter() - began
     finally:
         shutil.rmtree(folder, ignore_errors=True)
