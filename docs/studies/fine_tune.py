@@ -55,7 +55,7 @@ from learn.model import SPREADS, Output, PressNet, build, read_tensors
 from learn.predict import SHIPPED, find_model
 from learn.recordings import Archive, Reading, archive
 from learn.scores import spearman
-from learn.train import train
+from learn.train import Begin, train
 from learn.video import sources
 
 KEPT = 24
@@ -276,7 +276,8 @@ def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
     )  # fmt: skip
     config = replace(config, input=begun.config.input, model=begun.config.model)
     try:
-        train(folder / "fold", folder / "run", config, init=init, device=_place.device, cache=_place.work / "cache")
+        reading = Reading(_place.work / "cache", device=_place.device)
+        train(folder / "fold", folder / "run", config, begin=Begin(init), reading=reading)
         ensemble = Ensemble([folder / "run" / "model.pt"], pick_device(_place.device))
         asked = [index for body in test for index in body.presses]
         said = ensemble.read([_presses[index] for index in asked]).mean
