@@ -54,9 +54,9 @@ def summary(rows: list[dict[str, Any]], of: int) -> str:
     )
     overlap, drift = (np.abs([row[name] for row in solved]) for name in ("penetration_um", "drift_percent"))
     wall = [row["wall_s"] for row in rows]
-    tries = Counter(row["tried"] for row in solved)
+    tries = Counter(row["tried"] or "profile" for row in solved)
     return (
-        f"{len(rows)} of {of} scenes ended, {len(solved)} converged as asked, by try {dict(sorted(tries.items()))}\n"
+        f"{len(rows)} of {of} scenes ended, {len(solved)} converged as asked, by try {dict(tries.most_common())}\n"
         f"overlap at most 20 um in {100 * np.mean(overlap <= 20):.1f} %, the worst {overlap.max():.0f} um\n"
         f"energy drift at most 2 % in {100 * np.mean(drift <= 2):.2f} %, the worst {drift.max():.1f} %\n"
         f"seconds: median {np.median(wall):.1f}, 95 % {np.percentile(wall, 95):.1f}, longest {max(wall):.0f}\n"
