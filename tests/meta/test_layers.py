@@ -27,7 +27,7 @@ LAYERS = [
 ]
 HOMES = {
     "ray": "work", "pytetwild": "mesh", "warp": "fem", "mitsuba": "optics", "drjit": "optics", "torch": "", "mujoco": "live",
-    "gymnasium": "live", "viser": "views",
+    "newton": "live", "gymnasium": "live", "viser": "views",
 }  # fmt: skip
 LEARN_MAY_USE = set().union(*LAYERS[:3]) | {"data", "__init__"}
 LEARN_DRAWS = ("learn.recordings", "gelsim.generate.darkroom")

@@ -310,7 +310,7 @@ def test_blocks_meet_their_bounds(known: Known) -> None:
 def test_the_page_has_a_place_for_every_section(repository: Path) -> None:
     from gelsim.bench import report
 
-    pages = [report.places(repository / "docs" / name) for name in ("validation.md", "tables.markdown", "live.md")]
+    pages = [report.places(repository / "docs" / name) for name in ("validation.md", "tables.markdown")]
     assert sorted(sum(pages, [])) == sorted(SECTIONS)
 
 

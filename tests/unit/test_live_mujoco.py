@@ -268,7 +268,7 @@ def test_a_ball_shot_at_a_gel_comes_back_no_faster(mass: float, monkeypatch: pyt
     back, energy = shot(0.05, 0.5)
     assert energy == pytest.approx(back**2 - 1, rel=1e-6)  # which is how `stepped` counts
     if mass < 1e-3:
-        monkeypatch.setattr("gelsim.live.mujoco.CORRECTIONS", 0)  # planted: nothing brakes it in the step in which it comes
+        monkeypatch.setattr("gelsim.live.coupling.CORRECTIONS", 0)  # planted: nothing brakes it in the step in which it comes
         assert fastest() > 1
         return
     monkeypatch.setattr(Touch, "_push", late(Touch._push))  # planted
@@ -285,7 +285,7 @@ def test_between_its_answers_a_gel_is_followed(monkeypatch: pytest.MonkeyPatch) 
         return float(np.sqrt(((shaken(150, 0.02)[2] - known) ** 2).mean())) / rms
 
     assert off() < 0.03
-    monkeypatch.setattr("gelsim.live.mujoco.CHANGE", np.inf)  # planted: once in 20 ms, whatever moves
+    monkeypatch.setattr("gelsim.live.coupling.CHANGE", np.inf)  # planted: once in 20 ms, whatever moves
     with pytest.raises((AssertionError, SceneError)):
         assert off() < 0.03
 
