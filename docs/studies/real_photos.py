@@ -54,7 +54,7 @@ thickness_mm = 4.25
 OWN = 'ball_radius_mm = 2.38\nno_contact = "no_contact.jpg"\nmarkers = true\n'
 
 
-def write_folder(data: Path, name: str, out: Path, scale: float | None = None) -> None:
+def write_folder(data: Path, name: str, out: Path, scale: float | None = None, few: int | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     if name == "mini_markers":
         with (data / name / "contacts.csv").open(encoding="utf-8") as file:
@@ -62,6 +62,10 @@ def write_folder(data: Path, name: str, out: Path, scale: float | None = None) -
     else:
         files = sorted((data / name).glob("press_*.jpg"), key=lambda path: int(re.findall(r"\d+", path.stem)[0]))
         rows = [(path.name, "test" if index % 3 == 2 else "train") for index, path in enumerate(files)]
+    fitted = [row for row in rows if row[1] == "train"]
+    if few is not None:
+        kept = {fitted[place] for place in np.linspace(0, len(fitted) - 1, few).round().astype(int)}
+        rows = [row for row in rows if row in kept or row not in fitted]
     settings = ("" if scale is None else f"mm_per_px = {scale}\n") + (MINI if name == "mini_markers" else OWN)
     (out / "photos.toml").write_text(settings, encoding="utf-8")
     with (out / "presses.csv").open("w", newline="", encoding="utf-8") as file:
@@ -152,6 +156,7 @@ def main() -> None:
     parser.add_argument("--set", choices=["mini_markers", "dots427"])
     parser.add_argument("--out", type=Path)
     parser.add_argument("--scale", type=float, metavar="MM_PER_PX", help="handed on (default: left to the fit)")
+    parser.add_argument("--few", type=int, metavar="N", help="so many to fit, spread over all of these (default: all)")
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--dots", metavar="SENSOR.toml|symmetric")
     options = parser.parse_args()
@@ -166,7 +171,7 @@ def main() -> None:
             said = f"median error {np.median(errors):.2f} px of {np.median(moves):.2f} px of motion"
             print(f"{name} found: {len(errors)} dots moved {MOVED_PX:g} px or more: {said}")
     else:
-        write_folder(options.data, options.set, options.out, options.scale)
+        write_folder(options.data, options.set, options.out, options.scale, options.few)
 
 
 if __name__ == "__main__":

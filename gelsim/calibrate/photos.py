@@ -235,7 +235,9 @@ def _rows(folder: Path, reader: Reader, settings: dict[str, Any], sides: dict[st
         row: dict[str, Any] = {"file": line["file"].strip(), "split": (line.get("split") or "").strip()}
         if not row["file"]:
             raise SceneError(f"{where}: file is empty")
-        if row["file"] in seen or row["file"] in others:
+        if row["file"] in others:
+            raise SceneError(f"{where}: file = {row['file']!r} is no press: photos.toml names it as no_contact or mask; take it out of one")
+        if row["file"] in seen:
             raise SceneError(f"{where}: file = {row['file']!r} comes twice")
         seen.add(row["file"])
         if row["split"] not in ("", "train", "test"):

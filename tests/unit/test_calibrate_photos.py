@@ -80,6 +80,7 @@ def test_linear_pictures_go_on_the_srgb_scale(folder):
         ("presses.csv", "file,split\na.png,maybe\n", "split = 'maybe'; allowed are train, test"),
         ("presses.csv", "file,split\na.png\n", "line 2 has not 2 cells"),
         ("presses.csv", "file\na.png\na.png\n", "'a.png' comes twice"),
+        ("presses.csv", "file\na.png\nrest.png\n", "'rest.png' is no press: photos.toml names it"),
         ("presses.csv", "file\nc.png\n", "c.png: is not a picture"),
     ],
 )
