@@ -76,6 +76,8 @@ class Request:
     """[mm] Bounds the search for contact."""
     tolerance: float | None = None
     solve: bool = True
+    whole: bool = False
+    """Whether the first Newton step must be possible as a whole, or the solve ends."""
 
 
 Marching = Generator[Request, NewtonReport, None]
@@ -112,7 +114,7 @@ def run_press(
         try:
             request = next(marching)
             while True:
-                request = marching.send(problem.newton.solve(request.reach, request.tolerance, request.solve))
+                request = marching.send(problem.newton.solve(request.reach, request.tolerance, request.solve, request.whole))
         except StopIteration as end:
             deformation: Deformation = end.value
     if throw and deformation.status is not SolveStatus.CONVERGED:
@@ -448,7 +450,8 @@ class _March:
         if problem.memory is not None:
             problem.memory.begin(new - here.time)
         reach = LOOKED_MM + 2 * travel
-        report = yield Request(reach, ROUGH_TOLERANCE)
+        halvable = new - here.time > FOLDED_STEP * self._spacing
+        report = yield Request(reach, ROUGH_TOLERANCE, whole=halvable and not again)
         self._count(report)
         overlap = np.inf
         for number in range(MAX_AUGMENTATIONS):
@@ -478,7 +481,7 @@ class _March:
             overlap = -float(contact.gap.numpy().min())
             if overlap <= OVERLAP_MM:
                 break
-        folds = report.min_jacobian < FOLDED * here.min_jacobian and new - here.time > FOLDED_STEP * self._spacing
+        folds = report.min_jacobian < FOLDED * here.min_jacobian and halvable
         through = again and overlap > CUT_MM
         if report.status is SolveStatus.CONVERGED and not folds and not through:
             self._smallest = report.min_jacobian

@@ -359,8 +359,8 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
     course = quasistatic.Course()
     solve = first.newton.solve
 
-    def lost(reach: float, tolerance: float | None = None, solving: bool = True) -> NewtonReport:
-        report = solve(reach, tolerance, solving)
+    def lost(reach: float, tolerance: float | None = None, solving: bool = True, whole: bool = False) -> NewtonReport:
+        report = solve(reach, tolerance, solving, whole)
         gone = solving and first.solids.state()[0][first.driven, 2].min() < -lost_from_mm
         return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
 
