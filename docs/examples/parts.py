@@ -6,6 +6,7 @@ python docs/examples/parts.py --render           # runs these commands, one afte
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import subprocess
@@ -341,7 +342,9 @@ def main(quick: bool = False, path: Path = FIGURE, folder: Path = ROOT / "out" /
         print(line, flush=True)
         if shown:
             seconds[name] = render(line)
-            print(f"{name}: {seconds[name]:.1f} s of processor time", flush=True)
+            wall = json.loads((folder / mesh.stem / "report.json").read_text())["seconds"]
+            stages = ", ".join(f"{stage} {took:.1f}" for stage, took in wall.items())
+            print(f"{name}: {seconds[name]:.1f} s of processor time; wall: {stages}", flush=True)
     if shown:
         draw(path, folder, seconds)
     return seconds

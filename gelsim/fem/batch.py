@@ -176,7 +176,7 @@ class _Batch:
         self.sizes_seen: list[list[float]] = [[] for _ in problems]
         """Residuals of each scene's present solve."""
         self.exact_after = np.array([problem.options.exact_after for problem in problems])
-        self.inverted = np.zeros(self.count, bool)
+        self.inverted, self.whole = np.zeros(self.count, bool), np.zeros(self.count, bool)
         self.stiffened = np.zeros(self.count, int)
         """Which of SHIFTS was the last to be needed."""
         self.old = np.zeros(self.count, bool)
@@ -228,6 +228,7 @@ class _Batch:
         self.limit[scene] = options.max_iterations if request.solve else 0
         self.iteration[scene] = self.factorisations[scene] = 0
         self.inverted[scene], self.sizes_seen[scene] = False, []
+        self.whole[scene] = request.whole
 
     def _ended(self, scene: int, residual: _Residual) -> NewtonReport | None:
         """Whether, and how, a scene's Newton has ended."""
@@ -434,7 +435,9 @@ class _Batch:
             for scene in np.flatnonzero(searching):
                 s, f = slope[scene], fraction[scene]
                 if bad[scene]:
-                    if not last:
+                    if impossible[scene] and self.whole[scene] and self.iteration[scene] == 0:
+                        searching[scene] = False
+                    elif not last:
                         high[scene], high_slope[scene], fraction[scene] = np.nan, 0.0, low[scene] + 0.5 * (f - low[scene])
                     continue
                 w = now[scene]

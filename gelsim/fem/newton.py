@@ -130,7 +130,7 @@ class Newton:
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 
-    def _line_search(self, step: Array, residual: Residual, reach: float, exact: bool = False) -> tuple[Residual | None, float]:
+    def _line_search(self, step: Array, residual: Residual, reach: float, exact: bool, whole: bool) -> tuple[Residual | None, float]:
         """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the end, or a root by regula falsi.
 
         The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are
@@ -146,6 +146,8 @@ class Newton:
             self.solids.move(start, step, fraction)
             self.contact.set_pairing(pairing)
             trial = self.residual(reach)
+            if whole and not trial.possible:
+                break
             if not trial.possible or (exact and trial.size > LARGEST_GROWTH * residual.size):
                 high, high_slope, fraction = None, 0.0, low + 0.5 * (fraction - low)
                 continue
@@ -167,20 +169,20 @@ class Newton:
             return None, 0.0
         return trial, fraction
 
-    def solve(self, reach: float, tolerance: float | None = None, solve: bool = True) -> NewtonReport:
+    def solve(self, reach: float, tolerance: float | None = None, solve: bool = True, whole: bool = False) -> NewtonReport:
         """Iterates from the solids' present state, in place, to `tolerance` (default: the options').
 
         `reach` [mm] bounds the search for contact. Without `solve` only forces of the present state are found, and pairs of the points that
-        have none.
+        have none. With `whole` it ends where its first step, taken whole, would turn an element inside out.
         """
         before = self.system.factorisations
         status, iterations, residual = self._iterate(
-            reach, tolerance or self.options.tolerance, self.options.max_iterations if solve else 0
+            reach, tolerance or self.options.tolerance, self.options.max_iterations if solve else 0, whole
         )
         size = residual.size
         return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before)
 
-    def _iterate(self, reach: float, goal: float, limit: int) -> tuple[SolveStatus, int, Residual]:
+    def _iterate(self, reach: float, goal: float, limit: int, whole: bool) -> tuple[SolveStatus, int, Residual]:
         """Newton's iterations; why they ended, how many there were, and where."""
         solids, contact = self.solids, self.contact
         residual = self.residual(reach)
@@ -205,7 +207,7 @@ class Newton:
             step = self.system.step(-residual.equations, coupling, exact)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
-            trial, _ = self._line_search(step, residual, reach, exact)
+            trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial

@@ -239,8 +239,8 @@ def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.
         expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     solve, exact, lost = Newton.solve, [0], [0]
 
-    def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
-        report = solve(newton, reach, tolerance, solving)
+    def astray(newton, reach, tolerance=None, solving=True, whole=False):  # type: ignore[no-untyped-def]
+        report = solve(newton, reach, tolerance, solving, whole)
         fine = tolerance is None or tolerance < quasistatic.ROUGH_TOLERANCE
         exact[0] = exact[0] + 1 if solving and fine else exact[0] if not solving else 0
         if not solving or exact[0] < 2:
@@ -269,8 +269,8 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
         starts.append(extrapolated)
         return predict(march, here, new, approach, extrapolated)
 
-    def astray(newton, reach, tolerance=None, solving=True):  # type: ignore[no-untyped-def]
-        report = solve(newton, reach, tolerance, solving)
+    def astray(newton, reach, tolerance=None, solving=True, whole=False):  # type: ignore[no-untyped-def]
+        report = solve(newton, reach, tolerance, solving, whole)
         if not (solving and starts[-1]):
             return report
         displacement, pressure = newton.solids.state()
@@ -359,8 +359,8 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
     course = quasistatic.Course()
     solve = first.newton.solve
 
-    def lost(reach: float, tolerance: float | None = None, solving: bool = True) -> NewtonReport:
-        report = solve(reach, tolerance, solving)
+    def lost(reach: float, tolerance: float | None = None, solving: bool = True, whole: bool = False) -> NewtonReport:
+        report = solve(reach, tolerance, solving, whole)
         gone = solving and first.solids.state()[0][first.driven, 2].min() < -lost_from_mm
         return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
 
@@ -546,3 +546,22 @@ def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gelsim.mesh.body_mesh.mesh_object", mesh_object)
     with pytest.raises(_Asked, match="5"):
         stages._bodies(build_scene({}), frozenset(), stages.Record(), 5)  # pyright: ignore[reportPrivateUsage]
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_a_step_that_begins_by_turning_elements_inside_out_is_halved_at_once(batched: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most of the gel's thickness in one step, by one press and in a batch: one iteration is lost, not a solve of a dozen."""
+    monkeypatch.setattr(quasistatic, "FIRST_STEP", 0.6 * MM)
+    reports: list[NewtonReport] = []
+    count = quasistatic._March._count
+
+    def counted(march: quasistatic._March, report: NewtonReport) -> None:
+        reports.append(report)
+        count(march, report)
+
+    monkeypatch.setattr(quasistatic._March, "_count", counted)
+    problem = driven(0.6, 2, 0.7)
+    press = run_batch([problem])[0] if batched else run_press(problem)
+    lost = [report.iterations for report in reports if report.status is not SolveStatus.CONVERGED]
+    assert press.status is SolveStatus.CONVERGED
+    assert press.report.steps_halved == len(lost) > 0 and set(lost) == {1}
