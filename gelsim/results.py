@@ -122,7 +122,7 @@ class Deformation:
     contact_area: NDArray[np.float64]
     """Area in contact [m²], projected on the window as the camera sees it, shape (N,)."""
     contact_pressure: NDArray[np.float64]
-    """Pressure at the gel's outer nodes [Pa], shape (N, G)."""
+    """Pressure at the gel's outer nodes, of an area at rest [Pa], shape (N, G)."""
     gel: SurfaceMotion
     """The gel's outer (coated) surface."""
     object: SurfaceMotion

@@ -293,7 +293,9 @@ def _tetwild(
         out = Path(folder) / "out.npz"
         if child.returncode or not out.exists():
             said = (child.stderr.strip().splitlines() or [f"exit code {child.returncode}"])[-1]
-            raise MeshingError(f"filling {label} with tetrahedra failed ({said}); try to close and clean its surface")
+            raise MeshingError(
+                f"filling {label} with tetrahedra failed ({said}); try a larger part, or rigid; of a file, to close and clean its surface"
+            )
         with np.load(out, allow_pickle=False) as stored:
             filled, tets = stored["vertices"], stored["tets"]
     if not len(tets):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import math
 import platform
 import time
 import warnings
@@ -493,8 +494,11 @@ def summary(report: dict[str, Any]) -> str:
     final = report["final"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in report["seconds"].items() if name != "total" and value >= 0.05)
     most = f" (at most {final['largest_force_n']:.3f} N)" if final["largest_force_n"] > 1.01 * final["normal_force_n"] else ""
+    aside = math.hypot(*final["force_n"][:2])
+    shear = f", {aside:.3f} N along the gel" if aside > 0.01 * final["normal_force_n"] else ""
     lines = [
-        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, {final['normal_force_n']:.3f} N{_doubt(report)} "
+        f"{report['out']}: {final['frames']} states to {final['approach_mm']:.3f} mm, "
+        f"{final['normal_force_n']:.3f} N{_doubt(report)}{shear} "
         f"on {final['contact_area_mm2']:.1f} mm²{most}{_why_ended(report)}",
         f"{report['seconds']['total']:.1f} s ({seconds})",
     ]

@@ -263,7 +263,7 @@ class Press:
     touch_at: str = "apex"
     """"apex": offset_mm is that of the object's apex, which may not be where a tilted one touches. "centre": that of where it does."""
     shear_mm: Vec2 = (0.0, 0.0)
-    """Tangential travel, applied in proportion to the approach."""
+    """Tangential travel of the object's base, applied in proportion to the approach; a tall soft object bends before it slides."""
     twist_deg: float = 0.0
     """Turn about z, applied in proportion to the approach."""
     speed_mm_s: float = 6.0

@@ -49,7 +49,7 @@ class Shape:
     edge_radius_mm: float = 0.1
     """Of a rigid one's rims and edges, where the scene says nothing: undefined edges are broken by 0.1 to 0.3 mm (ISO 13715)."""
     least_soft_radius_mm: float = 0.0
-    """At less it may only be rigid."""
+    """The smallest of which `fast` fills and presses a soft one; at less it may only be rigid."""
     skin: Mapping[str, float] = field(default_factory=dict)
     """Fields of the skin of a soft one, where the scene says nothing."""
     grains: Mapping[str, float] = field(default_factory=dict)

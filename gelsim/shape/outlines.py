@@ -6,11 +6,13 @@ shape is its row in `gelsim.scene.shape_table`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 
+from gelsim.errors import SceneError
 from gelsim.scene.definition import Body
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.solids import HeightField, Plane, Segment
@@ -63,8 +65,36 @@ Profile = tuple[Segment, ...]
 
 
 def profile(body: Body) -> Profile:
-    """The profile of a turned or drawn shape, from the axis to the base, as (r, z) or (x, z) segments [m]."""
-    return PROFILES[body.shape](body)
+    """The profile of a turned or drawn shape, from the axis to the base, as (r, z) or (x, z) segments [m].
+
+    Raises:
+        SceneError: Its segments do not meet, an arc's ends are not on its circle, or its row calls convex what turns right.
+    """
+    segments = PROFILES[body.shape](body)
+    fault = _fault(segments, 1e-6 * body.height_mm * MM, SHAPES[body.shape].convex)
+    if fault:
+        raise SceneError(f"shape {body.shape}: {fault}")
+    return segments
+
+
+def _fault(segments: Profile, within: float, convex: bool) -> str:
+    """What is wrong with a profile, to a length [m]: such a shape would be filled for minutes, or pressed as another."""
+
+    def told(point: tuple[float, float]) -> str:
+        return "({:.4g}, {:.4g}) mm".format(*(value / MM for value in point))
+
+    for segment in segments:
+        if not segment.on_circle(within):
+            return f"an arc of {abs(segment.radius) / MM:g} mm in its profile does not pass {told(segment.start)} and {told(segment.end)}"
+        if convex and segment.radius < 0:
+            return f"its profile is not convex at {told(segment.start)}; its row needs convex=False"
+    for one, other in itertools.pairwise(segments):
+        if np.abs(np.subtract(one.end, other.start)).max() > within:
+            return f"a segment of its profile ends at {told(one.end)}, the next begins at {told(other.start)}"
+        (x0, z0), (x1, z1) = one.way(1), other.way(0)
+        if convex and x0 * z1 - z0 * x1 < -1e-6:
+            return f"its profile is not convex at {told(other.start)}; its row needs convex=False"
+    return ""
 
 
 def bore(body: Body) -> Profile:

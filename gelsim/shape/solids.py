@@ -66,6 +66,19 @@ class Segment:
         away = np.subtract((self.start, self.end), self._middle())
         return float(np.arctan2(away[0, 0], -away[0, 1])), float(np.arctan2(away[1, 0], -away[1, 1]))
 
+    def on_circle(self, within: float) -> bool:
+        """Whether the ends of an arc are as far from its centre as its radius, within a length [m]."""
+        away = np.linalg.norm(np.subtract((self.start, self.end), self._middle()), axis=1)
+        return not self.radius or bool(np.all(np.abs(away - abs(self.radius)) <= within))
+
+    def way(self, end: int) -> Array:
+        """Unit vector (2,) in which it is walked at its start (0) or its end (1)."""
+        if not self.radius:
+            along = np.subtract(self.end, self.start)
+            return along / np.linalg.norm(along)
+        angles = self._angles()
+        return np.sign(angles[1] - angles[0]) * np.array([np.cos(angles[end]), np.sin(angles[end])])
+
     def project(self, points: Array) -> tuple[Array, Array]:
         """Closest points and outward normals, both (N, 2)."""
         start, end = np.array(self.start), np.array(self.end)
