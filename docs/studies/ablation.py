@@ -207,7 +207,7 @@ def make_measurer(jobs: list[tuple[str, ...]], folder: Path) -> Any:
 
     def work(handful: tuple[int, ...]) -> list[dict[str, Any]]:
         name, *setting = jobs[handful[0]]
-        return [measured(name, *setting, folder)] if setting else all_tries(name, folder)
+        return [measured(name, setting[0], folder)] if setting else all_tries(name, folder)
 
     return work
 

@@ -1,0 +1,95 @@
+"""Ribs of a real part beside those of a drawn one: a screw on the sensor of `dots427`, a thread of its pitch by the fitted sensor.
+
+    python docs/studies/ribs.py --data ../shared/real --sensor out/dots/dots.toml --out out/ribs
+
+Nobody says which screw `other_2` shows. Drawn is one of 24 turns an inch, 4.8 mm thick; place, turn and depth are read from the photograph
+by eye. OUT/ribs.png shows both; printed is the distance of the ribs in each, the strongest wave along the screw. The photographs
+carry no licence: nothing made from them stays in this repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+import gelsim
+from gelsim.calibrate.pictures import draw_comparison
+from gelsim.optics.camera import seen_places
+from gelsim.scene.layers import build_scene
+from gelsim.units import MM
+
+PITCH_MM, RADIUS_MM, LENGTH_MM = 25.4 / 24, 2.4, 13.0
+TURN_DEG, DEPTH_MM = -16.0, 0.8
+MIDDLE, ENDS = (226, 158), ((120.0, 190.0), (330.0, 128.0))
+"""Of the screw in the photograph: where it touches, and the line along it (column, row) [px]."""
+BESIDE = (-8, -4, 0, 4, 8)
+"""Lines beside that one, whose distances are averaged [px]."""
+
+
+def write_thread(path: Path) -> None:
+    """Its thread, lying along x, as an STL file."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+    import parts  # pyright: ignore[reportMissingImports]
+
+    def radius(angle: NDArray, z: NDArray) -> NDArray:
+        return RADIUS_MM - 0.61 * PITCH_MM * parts.triangle_wave(z / PITCH_MM - angle / (2 * np.pi)).clip(0.1, 0.9)
+
+    made = parts.rod(radius, LENGTH_MM, 0.1).to_mesh()
+    trimesh.Trimesh(np.asarray(made.vert_properties)[:, :3], np.asarray(made.tri_verts)).export(path)
+
+
+def spacing(change: NDArray[np.float64]) -> float:
+    """Distance of the ribs [px] in a picture's change from rest, (H, W, 3)."""
+    (x0, y0), (x1, y1) = ENDS
+    length = float(np.hypot(x1 - x0, y1 - y0))
+    along = np.arange(0.0, length, 0.5)
+    found = []
+    for beside in BESIDE:
+        x = x0 + (x1 - x0) * along / length - beside * (y1 - y0) / length
+        y = y0 + (y1 - y0) * along / length + beside * (x1 - x0) / length
+        red, green, _ = (ndimage.map_coordinates(change[..., colour], [y, x], order=1) for colour in range(3))
+        wave = red - green - ndimage.gaussian_filter1d(red - green, 30)
+        power, pitch = np.abs(np.fft.rfft(wave * np.hanning(len(wave)), 2**14)), 1 / np.maximum(np.fft.rfftfreq(2**14, 0.5), 1e-6)
+        within = (pitch > 8) & (pitch < 40)
+        found.append(pitch[within][power[within].argmax()])
+    return float(np.mean(found))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--sensor", required=True, metavar="FILE.toml", help="fitted to dots427 by `gelsim calibrate`")
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_thread(options.out / "thread.stl")
+    body = {
+        "shape": "mesh",
+        "mesh": str(options.out / "thread.stl"),
+        "mesh_unit": "mm",
+        "rigid": True,
+        "rotation_deg": [0.0, 0.0, TURN_DEG],
+    }
+    photos = [np.asarray(Image.open(options.data / "dots427" / name), float) for name in ("no_contact.jpg", "other_2.jpg")]
+    size = [photos[0].shape[1], photos[0].shape[0]]
+    layers = {"sensor": {"preset": options.sensor}, "object": body}, {"render": {"mode": "path", "spp": 64, "resolution": size}}
+    place = (seen_places(build_scene(*layers), np.array([MIDDLE], float))[0] / MM).tolist()
+    press = {"depth_mm": DEPTH_MM, "force_n": "none", "frames": 2, "offset_mm": place}
+    _, frames = gelsim.simulate(build_scene(*layers, {"press": press}))
+    drawn = [frame.image.astype(float) for frame in (frames[0], frames[-1])]
+    for name, (rest, pressed) in (("the photograph", photos), ("the thread, drawn", drawn)):
+        print(f"ribs of {name}: every {spacing(pressed - rest):.1f} px")
+    draw_comparison(
+        options.out / "ribs.png", (("photograph", photos), ("drawn", drawn)), ("without contact", "a screw; a thread of 24 turns an inch")
+    )
+
+
+if __name__ == "__main__":
+    main()
