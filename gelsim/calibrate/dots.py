@@ -35,6 +35,22 @@ def dark_pixels(photos: Array) -> NDArray[np.bool_]:
     return grey < DARKER * ndimage.percentile_filter(grey, 70, size=(1, side, side))
 
 
+def blobs(picture: Array) -> tuple[Array, Array]:
+    """The dark spots of a picture (H, W, 3): centres (column, row) (K, 2) and areas (K,) [px]."""
+    from scipy import ndimage
+
+    labels, count = ndimage.label(dark_pixels(picture[None])[0])  # type: ignore[misc]
+    if count < FEWEST:
+        return np.zeros((0, 2)), np.zeros(0)
+    numbers = np.arange(1, count + 1)
+    areas = np.asarray(ndimage.sum(labels > 0, labels, numbers), float)
+    # Dust is smaller than half a marker, shadows are larger than three; what the border cuts has its centre elsewhere.
+    usual = (areas > 0.5 * np.median(areas)) & (areas < 3 * np.median(areas))
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    usual &= ~np.isin(numbers, rim)
+    return np.array(ndimage.center_of_mass(labels > 0, labels, numbers))[usual, ::-1], areas[usual]
+
+
 def grid_of(scene: Scene, no_contact: Array) -> Markers | None:
     """The markers of a scene's camera's picture (H, W, 3), which is of its render resolution, as dark and as large as they are in it."""
     from scipy import ndimage
@@ -74,22 +90,12 @@ def marker_grid(no_contact: Array, place: Callable[[Array], Array], mm_per_px: f
         place: Takes places in the picture [px] to those on the gel [mm], each of shape (K, 2).
         mm_per_px: About the picture's middle.
     """
-    from scipy import ndimage
     from scipy.spatial import KDTree
 
-    labels, count = ndimage.label(dark_pixels(no_contact[None])[0])  # type: ignore[misc]
-    if count < FEWEST:
-        return None
-    numbers = np.arange(1, count + 1)
-    areas = np.asarray(ndimage.sum(labels > 0, labels, numbers), float)
-    # Dust is smaller than half a marker, shadows are larger than three; what the border cuts has its centre elsewhere.
-    usual = (areas > 0.5 * np.median(areas)) & (areas < 3 * np.median(areas))
-    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    usual &= ~np.isin(numbers, rim)
-    centres = np.array(ndimage.center_of_mass(labels > 0, labels, numbers))[usual, ::-1]
-    centres = place(centres) if len(centres) else centres
+    centres, areas = blobs(no_contact)
     if len(centres) < FEWEST:
         return None
+    centres = place(centres)
     distances, neighbours = KDTree(centres).query(centres, k=2)
     toward = centres[np.asarray(neighbours)[:, 1]] - centres
     turn = np.angle(np.median(np.exp(4j * np.arctan2(toward[:, 1], toward[:, 0])).view(float).reshape(-1, 2), axis=0) @ [1, 1j]) / 4
@@ -97,7 +103,7 @@ def marker_grid(no_contact: Array, place: Callable[[Array], Array], mm_per_px: f
         np.asarray(centres[:, 0] + 1j * centres[:, 1], np.complex128),
         float(np.median(np.asarray(distances)[:, 1])) * complex(np.exp(1j * turn)),
     )
-    pitch, radius = abs(step), float(np.sqrt(np.median(areas[usual]) / np.pi)) * mm_per_px
+    pitch, radius = abs(step), float(np.sqrt(np.median(areas) / np.pi)) * mm_per_px
     tilt = (np.degrees(np.angle(step)) + 45.0) % 90.0 - 45.0
     # The grid's point that is nearest to the gel's centre.
     index = -middle / step

@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.calibrate.dent import BALL
+from gelsim.calibrate.dots import blobs
+from gelsim.calibrate.lens import RANGE, Lens, fitted_lens
 from gelsim.calibrate.reading import SUFFIXES, Reader
 from gelsim.data.corners import Corners, check_corners
 from gelsim.errors import GelsimError, SceneError
@@ -32,6 +34,7 @@ Array = NDArray[np.float64]
 KEYS = {
     "ball_radius_mm": float, "no_contact": str | tuple[str, ...], "mm_per_px": float, "gel": dict, "markers": bool, "linear": bool,
     "order": str, "crop_px": tuple[int, int, int, int], "corners_px": list, "corners_mm": tuple[float, float], "mask": str,
+    "lens_k": float,
 }  # fmt: skip
 NUMBERS = ("col_px", "row_px", "contact_radius_px", "depth_mm")
 """Columns that are NaN where a cell is empty."""
@@ -69,6 +72,8 @@ class Photos:
     mm_per_px: float | None
     gel: Gel | None
     markers: bool
+    lens_k: float = 0.0
+    """The distortion that was taken out of all pictures (`calibrate.lens`)."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -102,6 +107,7 @@ def read_photos(folder: Path) -> Photos:
     rows = _rows(folder, reader, settings, {"col_px": width, "row_px": height})
     reader.crop = settings.get("crop_px")
     reader.corners = Corners(settings["corners_px"], settings.get("corners_mm")) if "corners_px" in settings else None
+    reader.lens = _lens(settings, first)
     if len(rows) + 1 > MOST_PHOTOS:
         raise SceneError(f"--photos {folder}: {len(rows) + 1} pictures; at most {MOST_PHOTOS} are taken")
     if width * height * (len(rows) + 1) > MOST_PIXELS:
@@ -126,10 +132,25 @@ def read_photos(folder: Path) -> Photos:
         radii=np.array([row["contact_radius_px"] * scale for row, scale in zip(rows, grown, strict=True)]),
         bodies=[row["body"] for row in rows],
         counted=_counted(reader, settings, no_contact),
-        mm_per_px=reader.mm_per_px or settings.get("mm_per_px"),
+        mm_per_px=reader.mm_per_px or _straight_scale(settings.get("mm_per_px"), reader.lens),
         gel=settings.get("gel"),
         markers=settings.get("markers", False),
+        lens_k=reader.lens.k if reader.lens else 0.0,
     )
+
+
+def _lens(settings: dict[str, Any], photo: Array) -> Lens | None:
+    """As given, or as the markers of a whole photograph (H, W, 3) show it."""
+    size = (photo.shape[1], photo.shape[0])
+    if "lens_k" in settings:
+        return Lens(settings["lens_k"], size) if settings["lens_k"] else None
+    if not settings.get("markers") or "crop_px" in settings or "corners_px" in settings:
+        return None
+    return fitted_lens(blobs(photo)[0], size)
+
+
+def _straight_scale(mm_per_px: float | None, lens: Lens | None) -> float | None:
+    return mm_per_px * lens.scale if mm_per_px and lens else mm_per_px
 
 
 def _no_contact(folder: Path, reader: Reader, names: tuple[str, ...]) -> Array:
@@ -206,6 +227,11 @@ def _check_cut(table: dict[str, Any], path: Path) -> None:
             raise SceneError(f"{path}: corners_px has {len(pairs)} corners; give four, each [column, row]")
         table["corners_px"] = np.array(pairs)
         check_corners(table["corners_px"], f"{path}: corners_px")
+    if "lens_k" in table:
+        if "crop_px" in table or "corners_px" in table:
+            raise SceneError(f"{path}: lens_k is of whole photographs: take crop_px and corners_px away, or straighten the pictures before")
+        if not RANGE[0] <= table["lens_k"] <= RANGE[1]:
+            raise SceneError(f"{path}: lens_k = {table['lens_k']:g}: allowed is {RANGE[0]:g} … {RANGE[1]:g}")
     if "corners_mm" in table:
         if "corners_px" not in table or "mm_per_px" in table:
             raise SceneError(f"{path}: corners_mm is the size of corners_px's rectangle, in place of mm_per_px")

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.calibrate.lens import Lens
 from gelsim.data.corners import Corners
 from gelsim.data.video import MOST_FRAMES, VIDEOS, video_frames, video_size
 from gelsim.errors import SceneError
@@ -38,6 +39,8 @@ class Reader:
     crop: tuple[int, int, int, int] | None = None
     """Left, top, width and height [px] of what is kept."""
     corners: Corners | None = None
+    lens: Lens | None = None
+    """Its distortion is taken out; then there is neither crop nor corners."""
     _open: dict[Path, NDArray] = field(default_factory=dict)
 
     @property
@@ -56,7 +59,10 @@ class Reader:
         if not np.isfinite(values).all():
             raise SceneError(f"{self.folder / name}: holds values that are not finite")
         values = values[..., ::-1] if self.order == "bgr" else values
-        levels = self._cut(255 * np.asarray(srgb_tone(values) if linear else values, np.float64), name)
+        levels = 255 * np.asarray(srgb_tone(values) if linear else values, np.float64)
+        if self.lens is not None and levels.shape[1::-1] == self.lens.size:
+            levels = self.lens.straightened(levels)
+        levels = self._cut(levels, name)
         self._check_size(levels, name)
         return levels
 
@@ -65,6 +71,8 @@ class Reader:
         if self.corners is not None:
             moved = np.linalg.inv(self.corners.homography) @ [*point, 1.0]
             return moved[:2] / moved[2]
+        if self.lens is not None:
+            return self.lens.straight(np.asarray(point))
         return point - self.crop[:2] if self.crop else point
 
     def scale(self, point: Array) -> float:
