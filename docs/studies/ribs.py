@@ -10,16 +10,18 @@ carry no licence: nothing made from them stays in this repository.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from PIL import Image
 from scipy import ndimage
 
 import gelsim
+from gelsim.calibrate.lens import Lens
+from gelsim.calibrate.photos import read_photos
 from gelsim.calibrate.pictures import draw_comparison
 from gelsim.optics.camera import seen_places
 from gelsim.scene.layers import build_scene
@@ -45,9 +47,9 @@ def write_thread(path: Path) -> None:
     trimesh.Trimesh(np.asarray(made.vert_properties)[:, :3], np.asarray(made.tri_verts)).export(path)
 
 
-def spacing(change: NDArray[np.float64]) -> float:
-    """Distance of the ribs [px] in a picture's change from rest, (H, W, 3)."""
-    (x0, y0), (x1, y1) = ENDS
+def spacing(change: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
+    """Distance of the ribs [px] in a picture's change from rest, (H, W, 3), along a line (2, 2) (column, row)."""
+    (x0, y0), (x1, y1) = ends
     length = float(np.hypot(x1 - x0, y1 - y0))
     along = np.arange(0.0, length, 0.5)
     found = []
@@ -77,15 +79,20 @@ def main() -> None:
         "rigid": True,
         "rotation_deg": [0.0, 0.0, TURN_DEG],
     }
-    photos = [np.asarray(Image.open(options.data / "dots427" / name), float) for name in ("no_contact.jpg", "other_2.jpg")]
-    size = [photos[0].shape[1], photos[0].shape[0]]
-    layers = {"sensor": {"preset": options.sensor}, "object": body}, {"render": {"mode": "path", "spp": 64, "resolution": size}}
-    place = (seen_places(build_scene(*layers), np.array([MIDDLE], float))[0] / MM).tolist()
+    for name in ("no_contact.jpg", "other_2.jpg"):
+        shutil.copyfile(options.data / "dots427" / name, options.out / name)
+    (options.out / "photos.toml").write_text('no_contact = "no_contact.jpg"\nmarkers = true\n', encoding="utf-8")
+    (options.out / "presses.csv").write_text("file,radius_mm\nother_2.jpg,1\n", encoding="utf-8")
+    read = read_photos(options.out)  # as the sensor was fitted: without the lens's distortion
+    photos, size = [read.no_contact, read.pictures[0]], read.size
+    middle, *ends = Lens(read.lens_k, size).straight(np.array([MIDDLE, *ENDS], float))
+    layers = {"sensor": {"preset": options.sensor}, "object": body}, {"render": {"mode": "path", "spp": 64, "resolution": list(size)}}
+    place = (seen_places(build_scene(*layers), middle[None])[0] / MM).tolist()
     press = {"depth_mm": DEPTH_MM, "force_n": "none", "frames": 2, "offset_mm": place}
     _, frames = gelsim.simulate(build_scene(*layers, {"press": press}))
     drawn = [frame.image.astype(float) for frame in (frames[0], frames[-1])]
     for name, (rest, pressed) in (("the photograph", photos), ("the thread, drawn", drawn)):
-        print(f"ribs of {name}: every {spacing(pressed - rest):.1f} px")
+        print(f"ribs of {name}: every {spacing(pressed - rest, np.array(ends)):.1f} px")
     draw_comparison(
         options.out / "ribs.png", (("photograph", photos), ("drawn", drawn)), ("without contact", "a screw; a thread of 24 turns an inch")
     )

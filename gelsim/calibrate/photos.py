@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 KEYS = {
     "ball_radius_mm": float, "no_contact": str | tuple[str, ...], "mm_per_px": float, "gel": dict, "markers": bool, "linear": bool,
     "order": str, "crop_px": tuple[int, int, int, int], "corners_px": list, "corners_mm": tuple[float, float], "mask": str,
-    "lens_k": float,
+    "lens_k": float | str,
 }  # fmt: skip
 NUMBERS = ("col_px", "row_px", "contact_radius_px", "depth_mm")
 """Columns that are NaN where a cell is empty."""
@@ -140,13 +140,9 @@ def read_photos(folder: Path) -> Photos:
 
 
 def _lens(settings: dict[str, Any], photo: Array) -> Lens | None:
-    """As given, or as the markers of a whole photograph (H, W, 3) show it."""
-    size = (photo.shape[1], photo.shape[0])
-    if "lens_k" in settings:
-        return Lens(settings["lens_k"], size) if settings["lens_k"] else None
-    if not settings.get("markers") or "crop_px" in settings or "corners_px" in settings:
-        return None
-    return fitted_lens(blobs(photo)[0], size)
+    """As given, or as the markers of a whole photograph (H, W, 3) show it; none where nothing is said."""
+    size, k = (photo.shape[1], photo.shape[0]), settings.get("lens_k", 0.0)
+    return fitted_lens(blobs(photo)[0], size) if k == "markers" else Lens(k, size) if k else None
 
 
 def _straight_scale(mm_per_px: float | None, lens: Lens | None) -> float | None:
@@ -230,8 +226,9 @@ def _check_cut(table: dict[str, Any], path: Path) -> None:
     if "lens_k" in table:
         if "crop_px" in table or "corners_px" in table:
             raise SceneError(f"{path}: lens_k is of whole photographs: take crop_px and corners_px away, or straighten the pictures before")
-        if not RANGE[0] <= table["lens_k"] <= RANGE[1]:
-            raise SceneError(f"{path}: lens_k = {table['lens_k']:g}: allowed is {RANGE[0]:g} … {RANGE[1]:g}")
+        k = table["lens_k"]
+        if k != "markers" and (isinstance(k, str) or not RANGE[0] <= k <= RANGE[1]):
+            raise SceneError(f'{path}: lens_k = {k}: allowed is {RANGE[0]:g} … {RANGE[1]:g}, or "markers", which show it')
     if "corners_mm" in table:
         if "corners_px" not in table or "mm_per_px" in table:
             raise SceneError(f"{path}: corners_mm is the size of corners_px's rectangle, in place of mm_per_px")
