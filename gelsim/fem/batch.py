@@ -295,11 +295,13 @@ class _Batch:
 
     def iterate(self, active: Mask, residual: _Residual) -> _Residual:
         """One Newton iteration of the active scenes: steps by GMRES on the factors there are, by new ones where those are too old."""
-        self._assemble(residual.imbalance < GEOMETRIC_BELOW)
+        near = residual.imbalance < GEOMETRIC_BELOW
+        self._assemble(near)
         # a scene that does not get there soon goes on with steps of its own factors, solved to the end
         self.old |= self.iteration >= SETTLED_AFTER
         self._factorise(active & (self.old | ~self.system.factored))
         self._convexify(active & (self.iteration >= self.exact_after))
+        self.downhill &= near
         self.snapped |= self.downhill
         for scene in np.flatnonzero(self.downhill):
             self.sizes_seen[scene] = [np.inf] * len(self.sizes_seen[scene])

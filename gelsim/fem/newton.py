@@ -134,16 +134,18 @@ class Newton:
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 
-    def _line_search(self, step: Array, residual: Residual, reach: float, exact: bool, whole: bool) -> tuple[Residual | None, float]:
+    def _line_search(
+        self, step: Array, residual: Residual, reach: float, exact: bool, whole: bool, downhill: bool = False
+    ) -> tuple[Residual | None, float]:
         """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the end, or a root by regula falsi.
 
         The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are
         far from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end. So are
-        `exact` ones that make the residual grow, but not those down from a saddle, which are doubled instead while they lead further down
-        and turn nothing inside out. Each trial begins with the pairs that the start has: what a longer one lost is no loss.
+        `exact` ones that make the residual grow, but not those `downhill` from a saddle, which are doubled instead while they lead further
+        down and turn nothing inside out. Each trial begins with the pairs that the start has: what a longer one lost is no loss.
         """
         start, pairing = self.solids.state(), self.contact.pairing()
-        bounded, lengthens = exact and not self.system.downhill, self.system.downhill
+        bounded, lengthens = exact and not downhill, downhill
         moving = step * self.displacement_unknown
         slope = float(residual.equations @ moving)
         low, low_slope, high, high_slope = 0.0, slope, None, 0.0
@@ -216,9 +218,10 @@ class Newton:
             step = self.system.step(-residual.equations, coupling, exact)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
-            if self.system.downhill:
+            downhill = self.system.downhill and near
+            if downhill:
                 self._snapped, sizes = True, [np.inf] * len(sizes)
-            trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0)
+            trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial

@@ -254,9 +254,9 @@ def test_a_way_down_from_a_saddle_is_lengthened_alone_and_in_a_batch() -> None:
     residual = newton.residual(1.0)
     newton.system.update(newton.tangent(False))
     step = newton.system.step(-residual.equations, None, exact=False) / 32
-    for newton.system.downhill, fraction in ((False, 1.0), (True, 8.0)):
+    for downhill, fraction in ((False, 1.0), (True, 8.0)):
         alone.solids.set_state((starts[0], np.zeros(alone.solids.node_count)))
-        assert newton._line_search(step, residual, 1.0, exact=True, whole=False)[1] == fraction
+        assert newton._line_search(step, residual, 1.0, exact=True, whole=False, downhill=downhill)[1] == fraction
 
     before = batch.residual()
     batch._assemble(np.zeros(2, bool))
