@@ -179,6 +179,8 @@ class _Batch:
         self.inverted, self.whole = np.zeros(self.count, bool), np.zeros(self.count, bool)
         self.stiffened = np.zeros(self.count, int)
         """Which of SHIFTS was the last to be needed."""
+        self.downhill, self.snapped = np.zeros(self.count, bool), np.zeros(self.count, bool)
+        """Whose present step leads down from a saddle, and whose solve had such a step."""
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
         self.moved = np.zeros(self.count, bool)
@@ -228,7 +230,7 @@ class _Batch:
         self.limit[scene] = options.max_iterations if request.solve else 0
         self.iteration[scene] = self.factorisations[scene] = 0
         self.inverted[scene], self.sizes_seen[scene] = False, []
-        self.whole[scene] = request.whole
+        self.whole[scene], self.snapped[scene] = request.whole, False
 
     def _ended(self, scene: int, residual: _Residual) -> NewtonReport | None:
         """Whether, and how, a scene's Newton has ended."""
@@ -245,7 +247,8 @@ class _Batch:
             status = SolveStatus.MAX_ITERATIONS
         if status is None:
             return None
-        return NewtonReport(status, iteration, size, float(residual.min_jacobian[scene]), int(self.factorisations[scene]))
+        jacobian, factorisations = float(residual.min_jacobian[scene]), int(self.factorisations[scene])
+        return NewtonReport(status, iteration, size, jacobian, factorisations, bool(self.snapped[scene]))
 
     def residual(self, fraction: Array | None = None) -> _Residual:
         """Contact and equations of all scenes at their present states, or at a fraction of each one's step."""
@@ -292,11 +295,16 @@ class _Batch:
 
     def iterate(self, active: Mask, residual: _Residual) -> _Residual:
         """One Newton iteration of the active scenes: steps by GMRES on the factors there are, by new ones where those are too old."""
-        self._assemble(residual.imbalance < GEOMETRIC_BELOW)
+        near = residual.imbalance < GEOMETRIC_BELOW
+        self._assemble(near)
         # a scene that does not get there soon goes on with steps of its own factors, solved to the end
         self.old |= self.iteration >= SETTLED_AFTER
         self._factorise(active & (self.old | ~self.system.factored))
         self._convexify(active & (self.iteration >= self.exact_after))
+        self.downhill &= near
+        self.snapped |= self.downhill
+        for scene in np.flatnonzero(self.downhill):
+            self.sizes_seen[scene] = [np.inf] * len(self.sizes_seen[scene])
         poor = self._solve(active)
         if poor.any():
             self._factorise(poor)
@@ -333,6 +341,7 @@ class _Batch:
     def _convexify(self, wanted: Mask) -> None:
         """linear.SymmetricSystem._convexify of the wanted scenes, whose factors are of the present matrices."""
         saddle = wanted & self._at_saddle() if wanted.any() else wanted
+        self.downhill = saddle.copy()
         if not saddle.any():
             return
         original, entries = wp.clone(self.values), len(self.values) // self.count
@@ -418,7 +427,8 @@ class _Batch:
 
     def _line_search(self, active: Mask, before: _Residual) -> _Residual:
         """newton.Newton._line_search, scene by scene: each is moved to where the work of the unbalanced forces has shrunk."""
-        largest_size = np.where(self.iteration >= SETTLED_AFTER, LARGEST_GROWTH * before.size, np.inf)
+        largest_size = np.where((self.iteration >= SETTLED_AFTER) & ~self.downhill, LARGEST_GROWTH * before.size, np.inf)
+        lengthens = self.downhill.copy()
         self._start_search()
         searching, fraction = active.copy(), active.astype(float)
         low, high = np.zeros(self.count), np.full(self.count, np.nan)
@@ -438,10 +448,11 @@ class _Batch:
                     if impossible[scene] and self.whole[scene] and self.iteration[scene] == 0:
                         searching[scene] = False
                     elif not last:
+                        lengthens[scene] = False
                         high[scene], high_slope[scene], fraction[scene] = np.nan, 0.0, low[scene] + 0.5 * (f - low[scene])
                     continue
                 w = now[scene]
-                if s >= 0 or abs(w) <= LINE_SEARCH_DROP * abs(s) or (w < 0 and f == 1.0):
+                if s >= 0 or abs(w) <= LINE_SEARCH_DROP * abs(s) or (w < 0 and f == 1.0 and not lengthens[scene]):
                     searching[scene] = False
                     continue
                 if w < 0:
@@ -450,7 +461,9 @@ class _Batch:
                 else:
                     high[scene], high_slope[scene] = f, w
                     low_slope[scene] *= 0.5 if low[scene] > 0 else 1.0
-                if np.isnan(high[scene]):
+                if np.isnan(high[scene]) and lengthens[scene]:
+                    fraction[scene] *= 1.0 if last else 2.0
+                elif np.isnan(high[scene]):
                     searching[scene] = False
                 elif not last:
                     share = low_slope[scene] / (low_slope[scene] - high_slope[scene])

@@ -215,7 +215,8 @@ class SymmetricSystem:
 
     Args:
         positive: Unknowns in which K of an equilibrium that bodies rest in is positive (displacements), for `exact` steps.
-    Attributes: `factorisations` and `solves` done so far; `product`, x to K x of the last matrix.
+    Attributes: `factorisations` and `solves` done so far; `product`, x to K x of the last matrix; `downhill`, whether the last step led
+    down from a saddle, by a matrix made stiffer.
     """
 
     # C couples few points: some ten iterations. Where they fall short the step is inexact, and Newton corrects it.
@@ -238,7 +239,7 @@ class SymmetricSystem:
         self.direct = make_solver(single=_single.get())
         self.factorisations = self.solves = 0
         self.factored = self._fresh = self._worn = False
-        self._stiffened = 0  # which of SHIFTS was the last to be needed
+        self._stiffened, self.downhill = 0, False  # which of SHIFTS was the last to be needed
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern."""
@@ -285,6 +286,7 @@ class SymmetricSystem:
         New ones are made where there are none, where they are cheap, where the last step wore them out, where GMRES falls short, and where
         `exact` asks for it.
         """
+        self.downhill = False
         if self._fresh:
             return self.solve(b, coupling)
         if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
@@ -322,7 +324,7 @@ class SymmetricSystem:
             shifted[diagonal] += SHIFTS[number] * np.abs(values[diagonal])
             self.update(shifted)
             self.factorise()
-            self._stiffened = number
+            self._stiffened, self.downhill = number, True
 
     def solve(self, b: NDArray[np.float64], coupling: Product | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""

@@ -3,7 +3,9 @@
 One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
 (linear.py). Contact that opens and closes makes full steps cycle: a line search on the work of the unbalanced forces along the step cuts
 them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a
-minimum of the energy, not to a saddle: where a body folds or slips off an edge, that is the way down (`SymmetricSystem`). Converged means:
+minimum of the energy, not to a saddle: where a body folds or slips off an edge, that is the way down (`SymmetricSystem`). On it the
+residual grows before it shrinks, and steps are too short as the matrix is too stiff: they are lengthened for as long as they lead down, and
+what the residual was before does not count (rims of rigid bodies: docs/decisions/0008-ways-of-trying.md). Converged means:
 forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
 
 from __future__ import annotations
@@ -79,6 +81,8 @@ class NewtonReport:
     residual: float
     min_jacobian: float
     factorisations: int = 0
+    snapped: bool = False
+    """Whether it went down from a saddle, to an equilibrium that does not continue those before."""
 
 
 class Newton:
@@ -130,14 +134,18 @@ class Newton:
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 
-    def _line_search(self, step: Array, residual: Residual, reach: float, exact: bool, whole: bool) -> tuple[Residual | None, float]:
+    def _line_search(
+        self, step: Array, residual: Residual, reach: float, exact: bool, whole: bool, downhill: bool = False
+    ) -> tuple[Residual | None, float]:
         """Moves the solids along `step` to where the work of the unbalanced forces on it has shrunk: the end, or a root by regula falsi.
 
         The slope is that of the Lagrangian in the displacements alone, R_u·d_u: where it does not begin negative (the volume equations are
         far from met) the full step is taken. Steps that turn an element inside out are halved first; None where that does not end. So are
-        `exact` ones that make the residual grow. Each trial begins with the pairs that the start has: what a longer one lost is no loss.
+        `exact` ones that make the residual grow, but not those `downhill` from a saddle, which are doubled instead while they lead further
+        down and turn nothing inside out. Each trial begins with the pairs that the start has: what a longer one lost is no loss.
         """
         start, pairing = self.solids.state(), self.contact.pairing()
+        bounded, lengthens = exact and not downhill, downhill
         moving = step * self.displacement_unknown
         slope = float(residual.equations @ moving)
         low, low_slope, high, high_slope = 0.0, slope, None, 0.0
@@ -148,11 +156,11 @@ class Newton:
             trial = self.residual(reach)
             if whole and not trial.possible:
                 break
-            if not trial.possible or (exact and trial.size > LARGEST_GROWTH * residual.size):
-                high, high_slope, fraction = None, 0.0, low + 0.5 * (fraction - low)
+            if not trial.possible or (bounded and trial.size > LARGEST_GROWTH * residual.size):
+                high, high_slope, fraction, lengthens = None, 0.0, low + 0.5 * (fraction - low), False
                 continue
             now = float(trial.equations @ moving)
-            if slope >= 0 or abs(now) <= LINE_SEARCH_DROP * abs(slope) or (now < 0 and fraction == 1.0):
+            if slope >= 0 or abs(now) <= LINE_SEARCH_DROP * abs(slope) or (now < 0 and fraction == 1.0 and not lengthens):
                 return trial, fraction
             if now < 0:
                 low, low_slope = fraction, now
@@ -160,6 +168,9 @@ class Newton:
             else:
                 high, high_slope = fraction, now
                 low_slope *= 0.5 if low > 0 else 1.0
+            if high is None and lengthens:
+                fraction *= 2.0
+                continue
             if high is None:
                 return trial, fraction
             fraction = low + (high - low) * min(max(low_slope / (low_slope - high_slope), 0.05), 0.95)
@@ -180,13 +191,13 @@ class Newton:
             reach, tolerance or self.options.tolerance, self.options.max_iterations if solve else 0, whole
         )
         size = residual.size
-        return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before)
+        return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before, self._snapped)
 
     def _iterate(self, reach: float, goal: float, limit: int, whole: bool) -> tuple[SolveStatus, int, Residual]:
         """Newton's iterations; why they ended, how many there were, and where."""
         solids, contact = self.solids, self.contact
         residual = self.residual(reach)
-        before = np.inf
+        before, self._snapped = np.inf, False
         sizes: list[float] = []
         for iteration in range(limit + 1):
             size = residual.size
@@ -207,7 +218,10 @@ class Newton:
             step = self.system.step(-residual.equations, coupling, exact)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
-            trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0)
+            downhill = self.system.downhill and near
+            if downhill:
+                self._snapped, sizes = True, [np.inf] * len(sizes)
+            trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
             residual = trial

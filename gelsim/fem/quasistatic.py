@@ -224,6 +224,7 @@ class _March:
         self._previous: _State | None = None
         self._leg, self._spacing, self._smallest = 1, np.inf, 1.0
         self._rate = self._stiffness = self._approach = 0.0
+        self._snapped = False
         self._iterations = self._factorisations = self._wasted = 0
         self.most, self.gave_way = (0.0, 0.0), False
         """Largest normal force [N] so far, and the approach [m] there."""
@@ -302,7 +303,8 @@ class _March:
             approach = self._approach if way.by_force[leg] else way.at(leg, new)[0] / MM_PER_M
             self.energy.step(new, approach)
             self._settle()
-            self._previous, here = here, self._state(new, approach)
+            # a way that jumped says nothing of how it goes on
+            self._previous, here = None if self._snapped else here, self._state(new, approach)
             self._arrive(here, force)
             easy += 1
             if growth:
@@ -443,7 +445,7 @@ class _March:
         In a press's later tries a failure is tried `again` without the state before `here`: where a point at a soft tip has just changed
         face, extrapolating its motion throws it onto the next one. What that finds with one body through the other (CUT_MM) is no answer.
         """
-        problem = self.problem
+        problem, self._snapped = self.problem, False
         contact = problem.contact
         extrapolated = not again and self._previous is not None
         travel = self._predict(here, new, approach, extrapolated)
@@ -512,6 +514,7 @@ class _March:
     def _count(self, report: NewtonReport) -> None:
         self._iterations += report.iterations
         self._factorisations += report.factorisations
+        self._snapped |= report.snapped
 
     def _predict(self, here: _State, new: float, approach: float, extrapolated: bool) -> float:
         """Extrapolates the solids and the multipliers, or moves the object along; the driven nodes go exactly where they must.

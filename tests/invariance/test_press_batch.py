@@ -238,6 +238,38 @@ def test_a_saddle_by_itself_begins_below_its_last_shift() -> None:
     assert counts == [1 + len(SHIFTS), 1 + 2]
 
 
+def test_a_way_down_from_a_saddle_is_lengthened_alone_and_in_a_batch() -> None:
+    """A 32nd of Newton's step is doubled until an eighth of the slope is gone and more, at 8 of them; where no saddle was it is left."""
+    one = scene(200.0)
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for _ in range(3)]
+    alone, pair = problems[0], problems[1:]
+    batch, both = _Batch(pair, None), np.ones(2, bool)
+    for problem in problems:
+        displacement, pressure = (field.copy() for field in problem.solids.state())
+        displacement[problem.object_nodes, 2] -= 0.05
+        problem.solids.set_state((displacement, pressure))
+    starts = [problem.solids.state()[0] for problem in problems]
+
+    newton = alone.newton
+    residual = newton.residual(1.0)
+    newton.system.update(newton.tangent(False))
+    step = newton.system.step(-residual.equations, None, exact=False) / 32
+    for downhill, fraction in ((False, 1.0), (True, 8.0)):
+        alone.solids.set_state((starts[0], np.zeros(alone.solids.node_count)))
+        assert newton._line_search(step, residual, 1.0, exact=True, whole=False, downhill=downhill)[1] == fraction
+
+    before = batch.residual()
+    batch._assemble(np.zeros(2, bool))
+    batch._factorise(both)
+    batch._solve(both)
+    batch.step.assign(batch.step.numpy() / 32)
+    batch.downhill[:] = False, True
+    batch._line_search(both, before)
+    short, long = (problem.solids.state()[0] - start for problem, start in zip(pair, starts[1:], strict=True))
+    assert np.abs(short).max() > 0.0
+    assert long == pytest.approx(8.0 * short, rel=1e-6, abs=1e-12)
+
+
 def test_patience_is_the_same_alone_and_in_a_batch() -> None:
     """A residual that stays: a patient solve takes all iterations there are, another ends where exact steps lead nowhere."""
     one = scene(200.0)
