@@ -20,7 +20,7 @@ def blocks(repository: Path, heading: str) -> list[str]:
 
 def test_a_ball_rests_in_newton(repository: Path) -> None:
     pytest.importorskip("newton")
-    done = runpy.run_path(str(repository / "docs" / "examples" / "rest_in_newton.py"))["main"](["SolverXPBD"])
+    done = runpy.run_path(str(repository / "docs" / "studies" / "rest_in_newton.py"))["main"](["SolverXPBD"])
     assert len(done) == 2
     for row in done.values():
         assert row["off"] < 0.007  # tests/unit/test_live_newton.py derives it
@@ -29,7 +29,7 @@ def test_a_ball_rests_in_newton(repository: Path) -> None:
 
 def test_the_page_shows_what_the_example_does(repository: Path) -> None:
     (code,) = blocks(repository, "In Newton")
-    example = (repository / "docs" / "examples" / "rest_in_newton.py").read_text(encoding="utf-8")
+    example = (repository / "docs" / "studies" / "rest_in_newton.py").read_text(encoding="utf-8")
     for line in code.replace('Pad(model, "pad", "ball", scene)', "pad").splitlines():
         assert line.partition("  #")[0].replace("[pad])", "[pad], period)") in example
 

@@ -1,7 +1,7 @@
 """A ball falls on a gel in Newton and comes to rest: by which force, and what its steps cost beside the solver's own.
 
-    python docs/examples/rest_in_newton.py                   # seconds; Newton's kernels are compiled once, a minute
-    python docs/examples/rest_in_newton.py SolverMuJoCo      # which wants MuJoCo and mujoco-warp 3.17
+    python docs/studies/rest_in_newton.py                   # seconds; Newton's kernels are compiled once, a minute
+    python docs/studies/rest_in_newton.py SolverMuJoCo      # which wants MuJoCo and mujoco-warp 3.17
 
 Milliseconds are of the processor. `pip install "gelsim[newton]"`; on a machine with a GPU the model is on it, the gel is not.
 """
