@@ -112,7 +112,7 @@ def _numbered(dots: Array, middle: Array) -> tuple[Array, Array]:
     tree = KDTree(dots)
     pitch = float(np.median(tree.query(dots, k=2)[0][:, 1]))
     first = int(tree.query(middle)[1])
-    around = dots[tree.query(dots[first], k=9)[1][1:]] - dots[first]
+    around = dots[np.asarray(tree.query(dots[first], k=9)[1])[1:]] - dots[first]
     steps = tuple(around[np.linalg.norm(around - way, axis=1).argmin()] for way in pitch * np.eye(2))
     number, step, todo = {first: (0, 0)}, {first: steps}, [first]
     while todo:
