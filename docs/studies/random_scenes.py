@@ -32,9 +32,7 @@ def measured(seed: int, index: int, parts: Path | None = None) -> dict[str, Any]
     row: dict[str, Any] = {"seed": seed, "index": index, "scene": random_scenes.said(scene)}
     row["asked"] = scene["contact"]["friction_coefficient"]
     try:
-        if parts:
-            scene["object"]["mesh"] = str(mesh_parts.mesh_file(scene["object"]["mesh"], parts))
-        row |= presses.measure(scene)
+        row |= presses.measure(mesh_parts.with_file(scene, parts) if parts else scene)
     except GelsimError as error:
         row |= {"status": type(error).__name__, "message": str(error)}
     return row | {"wall_s": round(time.perf_counter() - begun, 2)}

@@ -11,15 +11,14 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy import ndimage
 
 import gelsim
+from gelsim.bench.mesh_parts import mesh_file
 from gelsim.calibrate.lens import Lens
 from gelsim.calibrate.photos import read_photos
 from gelsim.calibrate.pictures import draw_comparison
@@ -27,24 +26,12 @@ from gelsim.optics.camera import seen_places
 from gelsim.scene.layers import build_scene
 from gelsim.units import MM
 
-PITCH_MM, RADIUS_MM, LENGTH_MM = 25.4 / 24, 2.4, 13.0
+THREAD = f"thread 2.4 {25.4 / 24:.4f}"
 TURN_DEG, DEPTH_MM = -16.0, 0.8
 MIDDLE, ENDS = (226, 158), ((120.0, 190.0), (330.0, 128.0))
 """Of the screw in the photograph: where it touches, and the line along it (column, row) [px]."""
 BESIDE = (-8, -4, 0, 4, 8)
 """Lines beside that one, whose distances are averaged [px]."""
-
-
-def write_thread(path: Path) -> None:
-    """Its thread, lying along x, as an STL file."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
-    import parts  # pyright: ignore[reportMissingImports]
-
-    def radius(angle: NDArray, z: NDArray) -> NDArray:
-        return RADIUS_MM - 0.61 * PITCH_MM * parts.triangle_wave(z / PITCH_MM - angle / (2 * np.pi)).clip(0.1, 0.9)
-
-    made = parts.rod(radius, LENGTH_MM, 0.1).to_mesh()
-    trimesh.Trimesh(np.asarray(made.vert_properties)[:, :3], np.asarray(made.tri_verts)).export(path)
 
 
 def spacing(change: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
@@ -71,10 +58,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    write_thread(options.out / "thread.stl")
     body = {
         "shape": "mesh",
-        "mesh": str(options.out / "thread.stl"),
+        "mesh": str(mesh_file(THREAD, options.out)),
         "mesh_unit": "mm",
         "rigid": True,
         "rotation_deg": [0.0, 0.0, TURN_DEG],

@@ -57,12 +57,15 @@ def draw(index: int, seed: int) -> Layer:
     return random_scenes.draw(index, seed) | {"object": body}
 
 
-def built(drawn: Layer, folder: Path) -> Scene:
-    """The scene of a press whose `object.mesh` says a part; its file is written into a folder, where it is not there yet."""
+def with_file(drawn: Layer, folder: Path) -> Layer:
+    """A press whose `object.mesh`, if any, says a part, with its file: written into a folder, where it is not there yet."""
     body = drawn["object"]
-    if "mesh" in body:
-        body = body | {"mesh": str(mesh_file(body["mesh"], folder))}
-    return build_scene(drawn | {"object": body})
+    return drawn | {"object": body | {"mesh": str(mesh_file(body["mesh"], folder))}} if "mesh" in body else drawn
+
+
+def built(drawn: Layer, folder: Path) -> Scene:
+    """The scene of such a press."""
+    return build_scene(with_file(drawn, folder))
 
 
 def mesh_file(said: str, folder: Path) -> Path:
@@ -167,11 +170,11 @@ def _head(radius: float) -> Any:
     return head - cross.translate((0, 0, -1e-3))
 
 
-def _thread(radius: float) -> Any:
+def _thread(radius: float, pitch: float = 0.0) -> Any:
     """A threaded rod of an outer radius, lying along x, 12 mm long: ISO's 60 degrees, its crests an eighth of the pitch wide."""
     from manifold3d import Manifold
 
-    pitch = 0.35 * radius**0.75
+    pitch = pitch or 0.35 * radius**0.75
 
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
         points = np.array(points)

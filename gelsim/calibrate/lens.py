@@ -9,6 +9,7 @@ further terms, a centre of its own (beside k it moved a real lens's dots by 0.02
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ class Lens:
     size: tuple[int, int]
     """Width and height [px]."""
 
-    @property
+    @cached_property
     def scale(self) -> float:
         """Pixels of the photograph in one that is straight, at the middle: the largest picture of this size in which all was seen."""
         width, height = self.size

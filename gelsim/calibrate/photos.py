@@ -107,7 +107,7 @@ def read_photos(folder: Path) -> Photos:
     rows = _rows(folder, reader, settings, {"col_px": width, "row_px": height})
     reader.crop = settings.get("crop_px")
     reader.corners = Corners(settings["corners_px"], settings.get("corners_mm")) if "corners_px" in settings else None
-    reader.lens = _lens(settings, first)
+    reader.lens = _lens(settings, first, folder / "photos.toml")
     if len(rows) + 1 > MOST_PHOTOS:
         raise SceneError(f"--photos {folder}: {len(rows) + 1} pictures; at most {MOST_PHOTOS} are taken")
     if width * height * (len(rows) + 1) > MOST_PIXELS:
@@ -139,10 +139,17 @@ def read_photos(folder: Path) -> Photos:
     )
 
 
-def _lens(settings: dict[str, Any], photo: Array) -> Lens | None:
+def _lens(settings: dict[str, Any], photo: Array, path: Path) -> Lens | None:
     """As given, or as the markers of a whole photograph (H, W, 3) show it; none where nothing is said."""
     size, k = (photo.shape[1], photo.shape[0]), settings.get("lens_k", 0.0)
-    return fitted_lens(blobs(photo)[0], size) if k == "markers" else Lens(k, size) if k else None
+    if k != "markers":
+        return Lens(k, size) if k else None
+    found = fitted_lens(blobs(photo)[0], size)
+    if found is None:
+        raise SceneError(
+            f'{path}: lens_k = "markers", but no_contact has no grid of dots that shows a distortion; leave it out, or give a number'
+        )
+    return found
 
 
 def _straight_scale(mm_per_px: float | None, lens: Lens | None) -> float | None:

@@ -82,6 +82,9 @@ def test_photographs_are_straightened_where_markers_show_how(tmp_path: Path) -> 
     assert fitted_lens(blobs(told.no_contact)[0], SIZE) is None
     crooked = fitted_lens(blobs(read("lens_k = -0.1").no_contact)[0], SIZE)
     assert crooked is not None and crooked.k > k
+    Image.fromarray(dotted(0.0)).save(tmp_path / "rest.png")
+    with pytest.raises(SceneError, match="no grid of dots that shows a distortion"):
+        read('lens_k = "markers"')
     for wrong, said in (
         ("lens_k = 3", "allowed is -0.14"),
         ('lens_k = "dots"', 'or "markers"'),
