@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 ALONG, ACROSS = np.polynomial.legendre.leggauss(3), np.polynomial.legendre.leggauss(2)
 STEPS = np.array([0.12, 0.25, 0.45, 0.7, 1.0, 1.4, 1.9, 2.5, 3.3, 4.3])
 """Distances of the march toward a light, in contact radii √(R' d)."""
+LEAST_SHARE = 0.02
+"""Of a light, that the surface at rest leaves visible: where it leaves less, a dent hides it in that proportion only."""
 LEAST_AIR_MM = 0.5
 """Between camera and window."""
 
@@ -209,11 +211,12 @@ def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Arr
     """Share of a light that the dent leaves visible from each point, of each of its places ALONG, shape (A, N).
 
     Attached shadows are the cosine's affair. A long light's shadow is as soft across its length as it is long: with one share for all of it
-    a fitted light was 20 to 60 % too tall.
+    a fitted light was 20 to 60 % too tall. Of a light that the surface at rest hides in part, it is the share of what is left: so a dent
+    changes nothing far from it, however low the light stands.
     """
     share = np.ones((len(ALONG[0]), len(seen.point)))
     some = np.flatnonzero(seen.depth > 0)
-    if len(some) == 0 or light[2] > seen.point[:, 2].min() or np.hypot(light[0], light[1]) < -light[2]:
+    if len(some) == 0 or np.hypot(light[0], light[1]) < -light[2]:
         return share
     depth, radius = seen.depth[some], seen.radius[some]
     unit = np.sqrt(radius * depth)
@@ -221,12 +224,12 @@ def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Arr
     centre_x, centre_y = np.ascontiguousarray(seen.centre[some].T)
     tilted = np.sqrt(max(1 - facing(light)[2] ** 2, 0.01))
     along = _axes(light)[0]
-    above, half = np.empty((len(share), len(some))), np.empty((len(share), len(some)))
+    above, at_rest, half = (np.empty((len(share), len(some))) for _ in range(3))
     for k, s in enumerate(ALONG[0]):
         across, down = light[0] + 0.5 * s * light[5] * along[0] - x, light[1] + 0.5 * s * light[5] * along[1] - y
         far = np.sqrt(across**2 + down**2)
         across, down = across / far, down / far
-        highest = np.full(len(some), -np.inf)
+        highest, unmoved = np.full(len(some), -np.inf), np.full(len(some), -np.inf)
         for step in STEPS:
             reach = step * unit
             at_x, at_y = x + across * reach, y + down * reach
@@ -234,12 +237,16 @@ def visible(shape: Shape, dents: DentFamily, seen: Surface, light: Array) -> Arr
             dome = -shape.curvature * squared / (1 + np.sqrt(np.maximum(1 - shape.curvature**2 * squared, 0.05)))
             dent = dents.height_at(np.sqrt((at_x - centre_x) ** 2 + (at_y - centre_y) ** 2), depth, radius)
             np.maximum(highest, (z - dome - dent) / reach, out=highest)
-        above[k] = (z - light[2]) / far - highest
+            np.maximum(unmoved, (z - dome) / reach, out=unmoved)
+        above[k], at_rest[k] = (z - light[2]) / far - highest, (z - light[2]) / far - unmoved
         # Half of the light's height as seen from here, in slope.
         half[k] = np.maximum(0.5 * light[6] * tilted / far, 0.02)
     # Each place stands for a part of the length, over which the shadow's edge rises or falls.
-    part = np.abs(np.gradient(above, ALONG[0], axis=0)) * (0.5 * ALONG[1][:, None])
-    share[:, some] = np.clip(above / (2 * np.sqrt(half**2 + part**2)) + 0.5, 0, 1)
+    left, of = (
+        np.clip(over / (2 * np.hypot(half, np.abs(np.gradient(over, ALONG[0], axis=0)) * (0.5 * ALONG[1][:, None]))) + 0.5, 0, 1)
+        for over in (above, at_rest)
+    )
+    share[:, some] = np.minimum(left / np.maximum(of, LEAST_SHARE), 1)
     return share
 
 

@@ -55,16 +55,38 @@ def test_the_rest_loses_noise_and_keeps_dots() -> None:
     assert abs((rest - true)[dot].mean()) < 0.5
 
 
-def test_a_light_is_as_soft_across_its_length_as_it_is_long() -> None:
-    # A wall, the dent's steep flank, half hides a light that stands behind it: the shadow's edge is as wide as the light is long.
+def _dent(depth: float, place: np.ndarray) -> tuple[model.Shape, DentFamily, model.Surface]:
+    """A flat gel, a dent with a steep flank in its middle, and what pixels at a place see of it."""
     radius = np.array([2.5])
     scaled = np.linspace(0, 14.0, 561)
     height = np.tile(-np.exp(-(scaled**2)), (1, 24, 1))
     moved = np.zeros((2, 1, 24, 561))
     dents = DentFamily(radius, np.array([1.5]), height, np.gradient(height, scaled, axis=2), moved)
     shape = model.Shape(0.1, 34.0, ((4.0, 1.49), (3.2, 1.41)), 40.0, 0.0, radius)
-    place = np.column_stack([np.full(81, -20.0), np.linspace(-40, 40, 81)])
-    seen = model.surface(shape, dents, np.array([[0.0, 0.0, 1.2, 0.0, 0.0]]), model.Pixels(place, np.zeros(81, np.int64)))
+    presses = np.array([[0.0, 0.0, depth, 0.0, 0.0]])
+    return shape, dents, model.surface(shape, dents, presses, model.Pixels(place, np.zeros(len(place), np.int64)))
+
+
+def test_a_dent_that_reaches_past_a_light_changes_nothing_at_once_and_nothing_far_away() -> None:
+    # A lamp within the gel's depth, a part of it above the surface: what the surface hides at rest is no dent's work. It once was, as soon
+    # as the deepest of all points lay above the lamp: a press that moved by 1 um changed all pictures by levels.
+    place = np.column_stack([np.linspace(-90, 90, 181), np.zeros(181)])
+    light = np.array([18.0, 0.0, -0.6, np.pi, 0.0, 3.0, 1.6])
+
+    def shares(depth: float) -> np.ndarray:
+        shape, dents, seen = _dent(depth, place)
+        return model.visible(shape, dents, seen, light)
+
+    depths = np.arange(0.55, 0.65, 0.001)
+    steps = np.abs(np.diff([shares(depth) for depth in depths], axis=0))
+    # Slopes change by 0.001 mm over the shortest reach, 0.12 contact radii of 1.2 mm, of a light that fills twice a slope of 0.02 at least.
+    assert steps.max() < 0.001 / (0.12 * 1.2) / 0.04
+    assert shares(0.6)[:, place[:, 0] > 60].min() > 0.999  # between dent and lamp
+
+
+def test_a_light_is_as_soft_across_its_length_as_it_is_long() -> None:
+    # A wall, the dent's steep flank, half hides a light that stands behind it: the shadow's edge is as wide as the light is long.
+    shape, dents, seen = _dent(1.2, np.column_stack([np.full(81, -20.0), np.linspace(-40, 40, 81)]))
 
     def edge(length: float) -> float:
         light = np.array([18.0, 0.0, -5.0, np.pi, 0.3, length, 0.4])
