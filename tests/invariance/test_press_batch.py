@@ -181,7 +181,7 @@ def test_a_saddle_is_made_stiffer() -> None:
     batch._assemble(np.ones(2, bool))
     both = np.ones(2, bool)
     batch._factorise(both)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     assert (batch.factorisations == 1).all(), "at rest a body is at a minimum"
 
     rows = batch.values.numpy().reshape(2, -1)
@@ -191,7 +191,7 @@ def test_a_saddle_is_made_stiffer() -> None:
     turned[1, stiff[7]] = -1e-2 * rows[1, stiff].max()  # a shift takes its share of the size, so no shift of up to a half turns this
     batch.values.assign(turned.ravel())
     batch._factorise(both)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     after = batch.values.numpy().reshape(2, -1)
     assert (after[0] == turned[0]).all()
     assert after[1, stiff] == pytest.approx(turned[1, stiff] + SHIFTS[-1] * np.abs(turned[1, stiff]))
@@ -200,7 +200,7 @@ def test_a_saddle_is_made_stiffer() -> None:
     assert batch.factorisations.tolist() == [2, 2 + len(SHIFTS)]
     batch.values.assign(turned.ravel())
     batch._factorise(both)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     assert batch.factorisations.tolist() == [3, 2 + len(SHIFTS) + 1 + 2], "it begins below the one that was needed last"
 
 
@@ -216,7 +216,7 @@ def test_a_saddle_keeps_its_shift_while_a_neighbour_needs_a_larger_one() -> None
     batch._factorise(both)
     saddles = iter([both.copy(), np.array([False, True]), np.array([False, False])])
     batch._at_saddle = lambda: next(saddles)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     after = batch.values.numpy().reshape(2, -1)
     for mine, share, before in zip(after, SHIFTS, rows, strict=False):
         assert mine[stiff] == pytest.approx(before[stiff] + share * np.abs(before[stiff]))
@@ -232,8 +232,7 @@ def test_a_saddle_by_itself_begins_below_its_last_shift() -> None:
     for _ in range(2):
         before = system.factorisations
         system.update(np.array([1.0, -1.0, -1.0]))
-        system.factorise()
-        system._convexify()
+        system.step(np.array([1.0, 1.0, 1.0]), None, exact=True)
         counts.append(system.factorisations - before)
     assert counts == [1 + len(SHIFTS), 1 + 2]
 
