@@ -280,9 +280,7 @@ class SymmetricSystem:
         self.factorise()
         return self._direct(b)
 
-    def step(
-        self, b: NDArray[np.float64], coupling: Product | None, exact: bool, reach: float = np.inf
-    ) -> NDArray[np.float64]:
+    def step(self, b: NDArray[np.float64], coupling: Product | None, exact: bool, reach: float = np.inf) -> NDArray[np.float64]:
         """x of the last K as Newton needs it: roughly, by GMRES on factors of an earlier K, or as `solve` on new ones.
 
         An `exact` one leads down, b·x > 0 in the `positive` unknowns, and changes none of them by more than `reach`, if shifts can do that.

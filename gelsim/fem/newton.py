@@ -3,7 +3,8 @@
 One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
 (linear.py). Contact that opens and closes makes full steps cycle: a line search on the work of the unbalanced forces along the step cuts
 them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a
-minimum of the energy, not to a saddle: where a body folds or slips off an edge, that is the way down (`SymmetricSystem`). On it the
+minimum of the energy, not to a saddle: where a body folds, slips off an edge or sticks and slips at one, that is the way down
+(`SymmetricSystem`), no farther at once than contact's normal holds. On it the
 residual grows before it shrinks, and steps are too short as the matrix is too stiff: they are lengthened for as long as they lead down, and
 what the residual was before does not count (rims of rigid bodies: docs/decisions/0008-ways-of-trying.md). Converged means:
 forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
@@ -12,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 import warp as wp
@@ -203,10 +203,9 @@ class Newton:
         """Newton's iterations; why they ended, how many there were, and where."""
         solids, contact = self.solids, self.contact
         residual = self.residual(reach)
-        before, down = np.inf, 0
+        before, iteration, down, self._snapped = np.inf, 0, 0, False
         sizes: list[float] = []
-        for iteration in count():
-            self._snapped = down > 0
+        while True:
             size = residual.size
             sizes.append(size)
             if not np.isfinite(residual.equations).all():
@@ -227,8 +226,8 @@ class Newton:
                 return SolveStatus.NONFINITE, iteration, residual
             downhill = self.system.downhill and near
             if downhill:
-                down, sizes = down + 1, [np.inf] * len(sizes)
+                self._snapped, down, sizes = True, down + 1, [np.inf] * len(sizes)
             trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
-            residual = trial
+            residual, iteration = trial, iteration + 1

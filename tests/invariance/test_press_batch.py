@@ -224,6 +224,43 @@ def test_a_saddle_keeps_its_shift_while_a_neighbour_needs_a_larger_one() -> None
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
+def test_a_step_beyond_its_reach_is_made_shorter_alone_and_in_a_batch() -> None:
+    """To where shifts can bring it; a neighbour that is not wanted keeps its own. `far` is what they differ by without."""
+    one = scene(200.0)
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for _ in range(3)]
+    alone, pair = problems[0], problems[1:]
+    batch, both, first = _Batch(pair, None), np.ones(2, bool), np.array([True, False])
+    for problem in problems:
+        displacement, pressure = (field.copy() for field in problem.solids.state())
+        displacement[problem.object_nodes, 2] -= 0.05
+        problem.solids.set_state((displacement, pressure))
+    newton = alone.newton
+    residual = newton.residual(1.0)
+    newton.system.update(newton.tangent(False))
+    far = newton.system.step(-residual.equations, None, exact=True)
+    moves = newton.displacement_unknown > 0.0
+    reach = 0.9 * np.abs(far[moves]).max()
+    newton.system.update(newton.tangent(False))
+    short = newton.system.step(-residual.equations, None, exact=True, reach=reach)
+    assert newton.system.downhill and np.abs(short[moves]).max() <= reach
+
+    batch.residual()
+    batch.iteration[:] = batch.exact_after
+    batch._assemble(np.zeros(2, bool))
+    values = wp.clone(batch.values)
+    batch._factorise(both)
+    batch._convexify(both, values, np.zeros(2, bool))
+    batch._solve(both)
+    batch.contact.turns_within = reach
+    batch._shorten(first, values, np.zeros(2, bool))
+    steps = -batch.step.numpy().reshape(2, -1)
+    scale = np.abs(far).max()
+    assert batch.downhill.tolist() == [True, False]
+    assert np.abs(far - short).max() > 0.02 * scale
+    assert np.abs(steps[0] - short).max() <= 2e-3 * scale and np.abs(steps[1] - far).max() <= 2e-3 * scale
+
+
+@pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
 def test_a_saddle_by_itself_begins_below_its_last_shift() -> None:
     """The twin of the batch's: a diagonal of which one displacement pulls, by 0.03 of what is added at the third shift."""
     system = SymmetricSystem(np.array([True, True, False]))
