@@ -2,12 +2,12 @@
 
 One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
 (linear.py). Contact that opens and closes makes full steps cycle: a line search on the work of the unbalanced forces along the step cuts
-them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a
-minimum of the energy, not to a saddle: where a body folds, slips off an edge or sticks and slips at one, that is the way down
-(`SymmetricSystem`), no farther at once than contact's normal holds. On it the
-residual grows before it shrinks, and steps are too short as the matrix is too stiff: they are lengthened for as long as they lead down, and
-what the residual was before does not count (rims of rigid bodies: docs/decisions/0008-ways-of-trying.md). Converged means:
-forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
+them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a minimum of the energy,
+not to a saddle: where a body folds, slips off an edge, or sticks and slips at one, that is the way down (`SymmetricSystem`), by no more at
+once than contact's normal holds for. On it the residual grows before it shrinks, and steps are too short as the matrix is too stiff: they
+are lengthened for as long as they lead down, and what the residual was before does not count (rims of rigid bodies:
+docs/decisions/0008-ways-of-trying.md). Converged means: forces balance to `tolerance` of the contact force, the volume equations hold to
+`tolerance`, both in the largest entry."""
 
 from __future__ import annotations
 
