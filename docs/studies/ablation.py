@@ -66,6 +66,7 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "newton.NewtonOptions.max_iterations": (15, 60),
     "problem.MOST_WASTED": (300, 1200),
     "newton.NewtonOptions.exact_after": (4, 16),
+    "newton.NewtonOptions.max_downhill": (35, 140),
     "quasistatic.FOLDED": (0.25, 0.75),
     "quasistatic.OVERLAP_MM": (7.5e-3, 30e-3),
     "quasistatic.CUT_MM": (0.05, 0.2),

@@ -33,6 +33,7 @@ from gelsim.fem.newton import (
     MAX_LINE_SEARCH,
     SMALLEST_JACOBIAN,
     NewtonReport,
+    spent,
     stalls,
 )
 from gelsim.fem.pattern import PairPattern, SymmetricPattern, build_pattern, pair_keys
@@ -171,7 +172,8 @@ class _Batch:
 
         # Newton's state of every scene
         self.goal = np.full(self.count, np.inf)
-        self.iteration, self.limit = np.zeros(self.count, int), np.zeros(self.count, int)
+        self.iteration, self.down = np.zeros(self.count, int), np.zeros(self.count, int)
+        self.solves = np.zeros(self.count, bool)
         self.factorisations = np.zeros(self.count, int)
         self.sizes_seen: list[list[float]] = [[] for _ in problems]
         """Residuals of each scene's present solve."""
@@ -179,8 +181,8 @@ class _Batch:
         self.inverted, self.whole = np.zeros(self.count, bool), np.zeros(self.count, bool)
         self.stiffened = np.zeros(self.count, int)
         """Which of SHIFTS was the last to be needed."""
-        self.downhill, self.snapped = np.zeros(self.count, bool), np.zeros(self.count, bool)
-        """Whose present step leads down from a saddle, and whose solve had such a step."""
+        self.downhill = np.zeros(self.count, bool)
+        """Whose present step leads down from a saddle; `down` counts those of a solve."""
         self.old = np.zeros(self.count, bool)
         """Whose factor served GMRES badly the last time."""
         self.moved = np.zeros(self.count, bool)
@@ -227,28 +229,28 @@ class _Batch:
         """Begins what a march asks for."""
         options = self.problems[scene].options
         self.goal[scene] = request.tolerance or options.tolerance
-        self.limit[scene] = options.max_iterations if request.solve else 0
-        self.iteration[scene] = self.factorisations[scene] = 0
+        self.solves[scene] = request.solve
+        self.iteration[scene] = self.down[scene] = self.factorisations[scene] = 0
         self.inverted[scene], self.sizes_seen[scene] = False, []
-        self.whole[scene], self.snapped[scene] = request.whole, False
+        self.whole[scene] = request.whole
 
     def _ended(self, scene: int, residual: _Residual) -> NewtonReport | None:
         """Whether, and how, a scene's Newton has ended."""
         iteration, size = int(self.iteration[scene]), float(residual.size[scene])
         self.sizes_seen[scene][iteration:] = [size]
-        status = None
+        status, options = None, self.problems[scene].options
         if self.inverted[scene]:
             status = SolveStatus.INVERTED_ELEMENT
         elif not residual.finite[scene]:
             status = SolveStatus.NONFINITE
         elif iteration > 0 and size <= self.goal[scene]:
             status = SolveStatus.CONVERGED
-        elif iteration == self.limit[scene] or stalls(self.sizes_seen[scene], self.problems[scene].options):
+        elif not self.solves[scene] or spent(iteration, int(self.down[scene]), options) or stalls(self.sizes_seen[scene], options):
             status = SolveStatus.MAX_ITERATIONS
         if status is None:
             return None
         jacobian, factorisations = float(residual.min_jacobian[scene]), int(self.factorisations[scene])
-        return NewtonReport(status, iteration, size, jacobian, factorisations, bool(self.snapped[scene]))
+        return NewtonReport(status, iteration, size, jacobian, factorisations, bool(self.down[scene]))
 
     def residual(self, fraction: Array | None = None) -> _Residual:
         """Contact and equations of all scenes at their present states, or at a fraction of each one's step."""
@@ -300,11 +302,9 @@ class _Batch:
         # a scene that does not get there soon goes on with steps of its own factors, solved to the end
         self.old |= self.iteration >= SETTLED_AFTER
         self._factorise(active & (self.old | ~self.system.factored))
-        self._convexify(active & (self.iteration >= self.exact_after))
-        self.downhill &= near
-        self.snapped |= self.downhill
-        for scene in np.flatnonzero(self.downhill):
-            self.sizes_seen[scene] = [np.inf] * len(self.sizes_seen[scene])
+        exact = active & (self.iteration >= self.exact_after)
+        steep = wp.clone(self.values) if exact.any() else self.values
+        self._convexify(exact, steep, near)
         poor = self._solve(active)
         if poor.any():
             self._factorise(poor)
@@ -313,6 +313,11 @@ class _Batch:
             self.moved |= useless
             self._factorise(useless)
             self._solve(useless)
+        self._shorten(exact & near, steep, near)
+        self.downhill &= near
+        self.down += self.downhill
+        for scene in np.flatnonzero(self.downhill):
+            self.sizes_seen[scene] = [np.inf] * len(self.sizes_seen[scene])
         after = self._line_search(active, residual)
         self.iteration[active] += 1
         return after
@@ -338,23 +343,48 @@ class _Batch:
             self.factorisations[wanted] += 1
             self.old[wanted] = False
 
-    def _convexify(self, wanted: Mask) -> None:
-        """linear.SymmetricSystem._convexify of the wanted scenes, whose factors are of the present matrices."""
+    def _convexify(self, wanted: Mask, values: wp.array, near: Mask) -> None:
+        """Stiffens the matrices of the wanted scenes, with these `values` and factors of them, until they are of saddles no more.
+
+        With `_shorten` it is linear.SymmetricSystem._down.
+        """
         saddle = wanted & self._at_saddle() if wanted.any() else wanted
-        self.downhill = saddle.copy()
-        if not saddle.any():
-            return
-        original, entries = wp.clone(self.values), len(self.values) // self.count
-        number, share = np.maximum(self.stiffened - 1, 0), np.zeros(self.count)
+        self.downhill, number = saddle.copy(), np.maximum(self.stiffened - 1, 0)
+        self._shares = np.zeros(self.count)
         while saddle.any():
-            share[saddle] = np.array(SHIFTS)[number[saddle]]
-            self._send(self.share, share.copy())
-            inputs = [original, self._stiff, entries, self.share, self.values]
-            wp.launch(stiffen, (self.count, len(self._stiff)), inputs, device=self.solids.device)
-            self._factorise(saddle)
-            self.stiffened[saddle] = number[saddle]
+            self._stiffen(saddle, number, values)
             number = number + 1
             saddle &= self._at_saddle() & (number < len(SHIFTS))
+        self._send(self.contact.geometric, (near & ~self.downhill).astype(float))
+
+    def _shorten(self, wanted: Mask, values: wp.array, near: Mask) -> None:
+        """Solves again where a step leads up, or farther than the normal there holds, of the wanted scenes."""
+        if not wanted.any():
+            return
+        number = np.where(self.downhill, self.stiffened + 1, np.maximum(self.stiffened - 1, 0))
+        reach = self.contact.turns_within
+        while True:
+            self._start_search()
+            step = np.abs(self.step.numpy().reshape(self.count, -1)[:, self._moves]).max(axis=1)
+            up = wanted & ~self.downhill & (self.sizes.numpy()[7] < 0.0)
+            far = wanted & ~up & (step > reach) & (number < len(SHIFTS))
+            if not (up | far).any():
+                return
+            self.downhill |= up | far
+            if far.any():
+                self._stiffen(far, number, values)
+            number = number + far
+            self._send(self.contact.geometric, (near & ~self.downhill).astype(float))
+            self._solve(up | far)
+
+    def _stiffen(self, wanted: Mask, number: NDArray[np.integer], values: wp.array) -> None:
+        """Factors of scenes' matrices, stiffened by the shifts of these numbers."""
+        self._shares[wanted] = np.array(SHIFTS)[number[wanted]]
+        self._send(self.share, self._shares.copy())
+        inputs = [values, self._stiff, len(values) // self.count, self.share, self.values]
+        wp.launch(stiffen, (self.count, len(self._stiff)), inputs, device=self.solids.device)
+        self._factorise(wanted)
+        self.stiffened[wanted] = number[wanted]
 
     def _at_saddle(self) -> Mask:
         return self.system.negative > self._single.free[:, 3].sum()
@@ -400,6 +430,7 @@ class _Batch:
         self._start, self._column = (wp.array(a, dtype=wp.int32, device=device) for a in (self.pattern.indptr, self.pattern.indices))
         single = self._single
         displacements = single.equation[:, :3][single.free[:, :3]]
+        self._moves = displacements
         self._stiff = wp.array(self.pattern.indptr[displacements], dtype=wp.int32, device=device)
         if self.costs is not None:
             self.costs.unknowns, self.costs.matrix_entries = self.unknowns, len(self.pattern.indices)

@@ -54,7 +54,7 @@ from gelsim.fem.contact_kernels import (
     vec6d,
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
-from gelsim.fem.field import DistanceField
+from gelsim.fem.field import ROUNDING, DistanceField
 from gelsim.fem.friction import slip_bounds
 from gelsim.fem.pattern import PairPattern
 from gelsim.geometry import split_faces
@@ -167,6 +167,8 @@ def _beside(rest: Array, faces: NDArray[np.int32], symmetry: frozenset[str]) -> 
 class SurfaceContact:
     """The slave's faces against the master's, with the state of the current iterate. Positions are given in mm."""
 
+    turns_within = np.inf
+    """Way of a point [mm] beyond which the normal there says nothing of where it came from: of an exact step at most."""
     CORNERS = 3
     """Vertices of a face; its other nodes are in the middle of its sides."""
     STATE = _STATE
@@ -578,6 +580,7 @@ class RigidContact(SurfaceContact):
         super().__init__(slave_faces, whole, rest, law, device, points, symmetry)
         self.bend = wp.zeros(len(self.weight), dtype=wp.mat33d, device=device)
         self.field = field.grid(device)
+        self.turns_within = ROUNDING * field.spacing  # the radius of a rim, whose normal turns by a right angle along 1.6 of it
 
     def _share(self) -> None:
         super()._share()

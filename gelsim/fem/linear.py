@@ -280,8 +280,10 @@ class SymmetricSystem:
         self.factorise()
         return self._direct(b)
 
-    def step(self, b: NDArray[np.float64], coupling: Product | None, exact: bool) -> NDArray[np.float64]:
+    def step(self, b: NDArray[np.float64], coupling: Product | None, exact: bool, reach: float = np.inf) -> NDArray[np.float64]:
         """x of the last K as Newton needs it: roughly, by GMRES on factors of an earlier K, or as `solve` on new ones.
+
+        An `exact` one leads down, b·x > 0 in the `positive` unknowns, and changes none of them by more than `reach`, if shifts can do that.
 
         New ones are made where there are none, where they are cheap, where the last step wore them out, where GMRES falls short, and where
         `exact` asks for it.
@@ -303,28 +305,37 @@ class SymmetricSystem:
             if not failed:
                 return x
         self.factorise()
-        if exact:
-            self._convexify()
-        return self.solve(b, coupling)
+        return self._down(b, coupling, reach) if exact else self.solve(b, coupling)
 
-    def _convexify(self) -> None:
-        """Shifts the diagonal of the `positive` unknowns until the matrix has as many negative eigenvalues as there are others.
+    def _down(self, b: NDArray[np.float64], coupling: Product | None, reach: float) -> NDArray[np.float64]:
+        """x by the first of the matrix and those shifted on the diagonal of the `positive` unknowns that is good for a step.
 
-        A matrix with more of them is one of a saddle, where a body is about to buckle or to fold: its step does not lead to an equilibrium
-        that a press could come to rest in. (Wächter and Biegler 2006, §3.1, correct the inertia in the same way.)
+        One with more negative eigenvalues than there are others is of a saddle, where a body is about to buckle or to fold: its step does
+        not lead to an equilibrium that a press could come to rest in. (Wächter and Biegler 2006, §3.1, correct the inertia in the same
+        way.) C has no share in that count: a point that slides off a rim bears less the farther it slides, and the step by C leads back up
+        to where it would stick. Then, and once shifted, x is of K alone, which leads down.
         """
         if self.positive is None or self.direct.negative is None:
-            return
-        others = int((~self.positive).sum())
-        values, diagonal = self._values, self._pattern[1][:-1][self.positive]
-        for number in range(max(self._stiffened - 1, 0), len(SHIFTS)):
-            if self.direct.negative <= others:
-                return
-            shifted = values.copy()
-            shifted[diagonal] += SHIFTS[number] * np.abs(values[diagonal])
-            self.update(shifted)
-            self.factorise()
-            self._stiffened, self.downhill = number, True
+            return self.solve(b, coupling)
+        others, moves = int((~self.positive).sum()), self.positive
+        values, diagonal = self._values, self._pattern[1][:-1][moves]
+        shifts = [None, *range(max(self._stiffened - 1, 0), len(SHIFTS))]
+        for number in shifts:
+            if number is not None:
+                shifted = values.copy()
+                shifted[diagonal] += SHIFTS[number] * np.abs(values[diagonal])
+                self.update(shifted)
+                self.factorise()
+                self._stiffened, self.downhill, coupling = number, True, None
+            if self.direct.negative > others and number != shifts[-1]:
+                continue
+            x = self.solve(b, coupling)
+            if coupling is not None and b[moves] @ x[moves] < 0.0:
+                self.downhill, coupling = True, None
+                x = self.solve(b, coupling)
+            if np.abs(x[moves]).max() <= reach:
+                break
+        return x
 
     def solve(self, b: NDArray[np.float64], coupling: Product | None) -> NDArray[np.float64]:
         """x for the K factorised last: by (1 + K⁻¹ B_tᵀ B_n) x = K⁻¹ b, which needs no product with K."""

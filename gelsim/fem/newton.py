@@ -2,11 +2,12 @@
 
 One iteration finds the contact of the current positions, assembles and steps; factors of earlier matrices serve until they no longer pay
 (linear.py). Contact that opens and closes makes full steps cycle: a line search on the work of the unbalanced forces along the step cuts
-them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a
-minimum of the energy, not to a saddle: where a body folds or slips off an edge, that is the way down (`SymmetricSystem`). On it the
-residual grows before it shrinks, and steps are too short as the matrix is too stiff: they are lengthened for as long as they lead down, and
-what the residual was before does not count (rims of rigid bodies: docs/decisions/0008-ways-of-trying.md). Converged means:
-forces balance to `tolerance` of the contact force, the volume equations hold to `tolerance`, both in the largest entry."""
+them where they overshoot. Where that is not enough, steps are exact, may not make the residual grow, and lead to a minimum of the energy,
+not to a saddle: where a body folds, slips off an edge, or sticks and slips at one, that is the way down (`SymmetricSystem`), by no more at
+once than contact's normal holds for. On it the residual grows before it shrinks, and steps are too short as the matrix is too stiff: they
+are lengthened for as long as they lead down, and what the residual was before does not count (rims of rigid bodies:
+docs/decisions/0008-ways-of-trying.md). Converged means: forces balance to `tolerance` of the contact force, the volume equations hold to
+`tolerance`, both in the largest entry."""
 
 from __future__ import annotations
 
@@ -40,10 +41,17 @@ Array = NDArray[np.float64]
 class NewtonOptions:
     tolerance: float = 1e-4
     max_iterations: int = 30
+    """Not counted are up to `max_downhill` that lead down from a saddle."""
+    max_downhill: int = 70
     exact_after: int = 8
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
     patient: bool = True
     """Whether a solve goes on to the last iteration where exact steps lead nowhere (`stalls`): where there is no other try after this."""
+
+
+def spent(iterations: int, downhill: int, options: NewtonOptions) -> bool:
+    """Whether a solve has had all its iterations, of which some led down from a saddle."""
+    return iterations - min(downhill, options.max_downhill) >= options.max_iterations
 
 
 def stalls(sizes: Sequence[float], options: NewtonOptions) -> bool:
@@ -187,26 +195,24 @@ class Newton:
         have none. With `whole` it ends where its first step, taken whole, would turn an element inside out.
         """
         before = self.system.factorisations
-        status, iterations, residual = self._iterate(
-            reach, tolerance or self.options.tolerance, self.options.max_iterations if solve else 0, whole
-        )
+        status, iterations, residual = self._iterate(reach, tolerance or self.options.tolerance, solve, whole)
         size = residual.size
         return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before, self._snapped)
 
-    def _iterate(self, reach: float, goal: float, limit: int, whole: bool) -> tuple[SolveStatus, int, Residual]:
+    def _iterate(self, reach: float, goal: float, solve: bool, whole: bool) -> tuple[SolveStatus, int, Residual]:
         """Newton's iterations; why they ended, how many there were, and where."""
         solids, contact = self.solids, self.contact
         residual = self.residual(reach)
-        before, self._snapped = np.inf, False
+        before, iteration, down, self._snapped = np.inf, 0, 0, False
         sizes: list[float] = []
-        for iteration in range(limit + 1):
+        while True:
             size = residual.size
             sizes.append(size)
             if not np.isfinite(residual.equations).all():
                 return SolveStatus.NONFINITE, iteration, residual
             if iteration > 0 and size <= goal:
                 return SolveStatus.CONVERGED, iteration, residual
-            if iteration == limit or stalls(sizes, self.options):
+            if not solve or spent(iteration, down, self.options) or stalls(sizes, self.options):
                 return SolveStatus.MAX_ITERATIONS, iteration, residual
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
@@ -215,14 +221,13 @@ class Newton:
             before = size
             coupling = contact.remainder(self.x, self._equation, solids.unknowns) if near else None
             exact = iteration >= self.options.exact_after
-            step = self.system.step(-residual.equations, coupling, exact)
+            step = self.system.step(-residual.equations, coupling, exact, contact.turns_within if near else np.inf)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual
             downhill = self.system.downhill and near
             if downhill:
-                self._snapped, sizes = True, [np.inf] * len(sizes)
+                self._snapped, down, sizes = True, down + 1, [np.inf] * len(sizes)
             trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
-            residual = trial
-        raise AssertionError("the last iteration returns")
+            residual, iteration = trial, iteration + 1

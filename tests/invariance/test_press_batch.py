@@ -181,7 +181,7 @@ def test_a_saddle_is_made_stiffer() -> None:
     batch._assemble(np.ones(2, bool))
     both = np.ones(2, bool)
     batch._factorise(both)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     assert (batch.factorisations == 1).all(), "at rest a body is at a minimum"
 
     rows = batch.values.numpy().reshape(2, -1)
@@ -191,7 +191,7 @@ def test_a_saddle_is_made_stiffer() -> None:
     turned[1, stiff[7]] = -1e-2 * rows[1, stiff].max()  # a shift takes its share of the size, so no shift of up to a half turns this
     batch.values.assign(turned.ravel())
     batch._factorise(both)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     after = batch.values.numpy().reshape(2, -1)
     assert (after[0] == turned[0]).all()
     assert after[1, stiff] == pytest.approx(turned[1, stiff] + SHIFTS[-1] * np.abs(turned[1, stiff]))
@@ -200,7 +200,7 @@ def test_a_saddle_is_made_stiffer() -> None:
     assert batch.factorisations.tolist() == [2, 2 + len(SHIFTS)]
     batch.values.assign(turned.ravel())
     batch._factorise(both)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     assert batch.factorisations.tolist() == [3, 2 + len(SHIFTS) + 1 + 2], "it begins below the one that was needed last"
 
 
@@ -216,11 +216,48 @@ def test_a_saddle_keeps_its_shift_while_a_neighbour_needs_a_larger_one() -> None
     batch._factorise(both)
     saddles = iter([both.copy(), np.array([False, True]), np.array([False, False])])
     batch._at_saddle = lambda: next(saddles)
-    batch._convexify(both)
+    batch._convexify(both, wp.clone(batch.values), both)
     after = batch.values.numpy().reshape(2, -1)
     for mine, share, before in zip(after, SHIFTS, rows, strict=False):
         assert mine[stiff] == pytest.approx(before[stiff] + share * np.abs(before[stiff]))
     assert batch.stiffened.tolist() == [0, 1]
+
+
+@pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
+def test_a_step_beyond_its_reach_is_made_shorter_alone_and_in_a_batch() -> None:
+    """To where shifts can bring it; a neighbour that is not wanted keeps its own. `far` is what they differ by without."""
+    one = scene(200.0)
+    problems = [PressProblem(one, *stages.bodies(one), press_materials(one), "cpu") for _ in range(3)]
+    alone, pair = problems[0], problems[1:]
+    batch, both, first = _Batch(pair, None), np.ones(2, bool), np.array([True, False])
+    for problem in problems:
+        displacement, pressure = (field.copy() for field in problem.solids.state())
+        displacement[problem.object_nodes, 2] -= 0.05
+        problem.solids.set_state((displacement, pressure))
+    newton = alone.newton
+    residual = newton.residual(1.0)
+    newton.system.update(newton.tangent(False))
+    far = newton.system.step(-residual.equations, None, exact=True)
+    moves = newton.displacement_unknown > 0.0
+    reach = 0.9 * np.abs(far[moves]).max()
+    newton.system.update(newton.tangent(False))
+    short = newton.system.step(-residual.equations, None, exact=True, reach=reach)
+    assert newton.system.downhill and np.abs(short[moves]).max() <= reach
+
+    batch.residual()
+    batch.iteration[:] = batch.exact_after
+    batch._assemble(np.zeros(2, bool))
+    values = wp.clone(batch.values)
+    batch._factorise(both)
+    batch._convexify(both, values, np.zeros(2, bool))
+    batch._solve(both)
+    batch.contact.turns_within = reach
+    batch._shorten(first, values, np.zeros(2, bool))
+    steps = -batch.step.numpy().reshape(2, -1)
+    scale = np.abs(far).max()
+    assert batch.downhill.tolist() == [True, False]
+    assert np.abs(far - short).max() > 0.02 * scale
+    assert np.abs(steps[0] - short).max() <= 2e-3 * scale and np.abs(steps[1] - far).max() <= 2e-3 * scale
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")
@@ -232,8 +269,7 @@ def test_a_saddle_by_itself_begins_below_its_last_shift() -> None:
     for _ in range(2):
         before = system.factorisations
         system.update(np.array([1.0, -1.0, -1.0]))
-        system.factorise()
-        system._convexify()
+        system.step(np.array([1.0, 1.0, 1.0]), None, exact=True)
         counts.append(system.factorisations - before)
     assert counts == [1 + len(SHIFTS), 1 + 2]
 

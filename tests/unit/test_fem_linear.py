@@ -297,6 +297,36 @@ def test_an_exact_step_of_a_saddle_goes_downhill() -> None:
     assert system.factorisations == 4
 
 
+@needs_mkl
+def test_an_exact_step_leads_down_where_slip_leads_up_and_not_beyond_its_reach() -> None:
+    """Two springs of 1; by C, which no eigenvalue of K tells of, the first one is of stiffness -0.5: its own step would go up by 2."""
+    whole = sp.csr_matrix(np.diag([1.0, 1.0, -1.0]))
+    whole.sort_indices()
+    b = np.array([1.0, 0.1, 0.0])
+
+    def slips(v: np.ndarray) -> np.ndarray:
+        return np.array([-1.5 * v[0], 0.0, 0.0])
+
+    def system() -> SymmetricSystem:
+        made = SymmetricSystem(np.arange(3) < 2)
+        made.analyse(whole.indptr.astype(np.int32), whole.indices.astype(np.int32))
+        made.update(whole.data)
+        return made
+
+    one = system()
+    one.factorise()
+    assert one.solve(b, slips)[0] == pytest.approx(-2.0), "the fault: Newton's own step"
+    one = system()
+    assert one.step(b, slips, exact=True)[:2] == pytest.approx([1.0, 0.1])
+    assert one.downhill and one.factorisations == 1
+    # shifts of 0.001, 0.008, 0.06 leave more than 0.9 of the step, one of 0.5 leaves 1/1.5
+    one = system()
+    assert one.step(b, None, exact=True, reach=0.9)[:2] == pytest.approx(np.array([1.0, 0.1]) / 1.5)
+    assert one.downhill and one.factorisations == 1 + 4
+    one = system()
+    assert one.step(b, None, exact=True, reach=1.01)[0] == pytest.approx(1.0) and not one.downhill
+
+
 def test_a_singular_matrix_has_no_answer() -> None:
     """Not an error that ends a worker: Newton takes what is not finite for a step that failed."""
     solver = SuperLUSolver()
