@@ -40,9 +40,9 @@ def driven(depth_mm: float, frames: int, thickness_mm: float) -> PressProblem:
 
 @pytest.fixture
 def problem(monkeypatch: pytest.MonkeyPatch) -> PressProblem:
-    """One that is to be driven through a gel of 0.7 mm: the third of four steps ends beyond the window."""
+    """One that is to be driven through a gel of 0.6 mm, twice as far as its window."""
     monkeypatch.setattr(quasistatic, "SMALLEST_STEP", 1 / 4)
-    return driven(1.2, 5, 0.7)
+    return driven(1.2, 5, 0.6)
 
 
 def test_failure_raises_with_what_was_solved(problem: PressProblem) -> None:
