@@ -6,8 +6,8 @@ at z = 0 give their shares, a 4 × 4 system. Across k the layer shears alone: u_
 alone, tabulated once; displacement from traction is then a product in Fourier space (`Window.moved`). Tractions are looked for on a window
 of the grid around the contact: convolution with the answer to one cell, on twice the window's cells, is there what the whole grid gives.
 
-The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). The layer is
-as thick as the gel at the centre of pressure; with friction, under load, as stiff as one thinner by THINNING of the mean indentation. Flat
+The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). With friction
+the height is read nearer to X (`Window.led`): the face is drawn along, and its dent with it. The layer is as thick as the gel at the centre of pressure; with friction, under load, as stiff as one thinner by THINNING of the mean indentation. Flat
 faces meet more than that: it multiplies forces alone (`stiffening`).
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Friction (gelsim/fem/friction.py) is
@@ -49,6 +49,8 @@ THINNING = 0.3
 STIFFENING, FLATNESS = 0.59, 16.0
 """Of `stiffening`: least squares over punches, frusta, tori, tubes, wedges and balls at `balanced`, with friction of 0.25 to 1, of which
 53 % are within the bounds of docs/live.md without it, 82 % with it."""
+LED = 0.69
+"""Share of `Window.led` that is taken: least squares over heights of the same presses."""
 THINNER = 0.1
 """Of the thickness: the step of a difference quotient."""
 BENT = 0.5
@@ -69,7 +71,7 @@ KEPT = 256
 ALONE = 2**18
 """Multiplications in a product of real matrices up to which OpenBLAS takes one thread. Two, on busy cores, made a step ten times slower."""
 PUNCH_TOLERANCE = 0.05
-"""Of the motion of a flat punch, RMS over its cells."""
+"""Of the motion that is asked of some cells, RMS."""
 STEPS = 200
 """Of a gradient method, at most."""
 LOOKS = 3
@@ -303,15 +305,13 @@ class Window:
         np.negative(whole.imag, out=whole.imag)
         return fft.irfft2(whole, self.padded)[..., : self.shape[0], : self.shape[1]]  # type: ignore[return-value]
 
-    def moved(self, pressure: Values, shear: Values, along: Values | None = None) -> Values:
-        """Displacement u of all tractions together [mm], (3, rows, columns); of `along`, likewise as shear, what is along the face."""
+    def moved(self, pressure: Values, shear: Values) -> Values:
+        """Displacement u of all tractions together [mm], (3, rows, columns)."""
         zz, xx, yy, xy, xz, yz = self._parts
-        waves = self._there(np.concatenate([shear, pressure[None], *([] if along is None else [along])]))
+        waves = self._there(np.concatenate([shear, pressure[None]]))
         x, y, p = waves[:, :, 0], waves[:, :, 1], waves[:, :, 2]
-        found = np.empty_like(waves[:, :, :3])
+        found = np.empty_like(waves)
         found[:, :, 2] = xz * x[:, ::-1] + yz * y[::-1] - zz * p
-        if along is not None:
-            x, y = x + waves[:, :, 3], y + waves[:, :, 4]
         found[:, :, 0] = xx * x + xy * y[::-1, ::-1] + xz * p[:, ::-1]
         found[:, :, 1] = xy * x[::-1, ::-1] + yy * y + yz * p[::-1]
         return self._back(found)
@@ -356,6 +356,23 @@ class Window:
     def carried(self, moved: Values, height: Values) -> Values:
         """Of `bending`, the motion, by the face's height over where the pressure's centre was at rest [mm]."""
         return np.float32(-BENT) * height * self.slope(moved[2])
+
+    def led(self, pressure: Values, moved: Values, rest: Values) -> Values:
+        """How much higher the face is over a place [mm] when its height is that of the point which has come there: -u_t · ∇height.
+
+        Motion that the contact has as a whole, along the gel and about its centre, takes the dent with it and only counts against the slope
+        of the face at rest. Where it touches nothing may change; that asks for a pressure, which is not in here.
+
+        Args:
+            pressure, moved, rest: As of `bending`, of the linear layer.
+        """
+        x, y = np.meshgrid(self.layer.x.astype(np.float32), self.layer.y.astype(np.float32))
+        total = float(pressure.sum())
+        x, y = x - np.vdot(pressure, x) / total, y - np.vdot(pressure, y) / total
+        apart = moved[:2] - np.einsum("ij,kij->k", pressure, moved[:2])[:, None, None] / total
+        turned = np.vdot(pressure, x * apart[1] - y * apart[0]) / max(float(np.vdot(pressure, x**2 + y**2)), 1e-9)
+        apart -= turned * np.stack([-y, x])
+        return np.float32(-LED) * (apart * self.slope(moved[2]) + moved[:2] * self.slope(rest)).sum(axis=0)
 
     def slope(self, values: Any) -> Values:
         """Of values (..., rows, columns) along x and y, (2, ..., rows, columns); at the rim half of it."""
@@ -479,17 +496,19 @@ def shear(window: Window, slip: Values, bound: Values, start: Values, away: floa
     return q, slip
 
 
-def punch(window: Window, cells: NDArray[np.bool_], *, shear: bool) -> Values:
-    """Tractions on some cells [kPa/mm] that move all of them alike, by conjugate gradients; 0 on the others.
+def punch(window: Window, cells: NDArray[np.bool_], motion: Values) -> Values:
+    """Tractions on some cells that move them so [kPa, or per mm], by conjugate gradients; 0 on the others.
 
+    Args:
+        motion: Down [mm], and perhaps along x: (1 or 2, rows, columns).
     Returns:
-        A pressure, and with `shear` a traction along x too: (1 or 2, rows, columns).
+        A pressure, and perhaps a traction along x: likewise.
     """
 
     def size_of(one: Values, other: Values) -> Any:
         return np.einsum("kij,kij->k", one, other)[:, None, None]
 
-    left: Values = np.repeat(cells[None].astype(np.float32), 2 if shear else 1, axis=0)
+    left: Values = motion * cells
     traction, way, size = np.zeros_like(left), left, size_of(left, left)
     allowed = PUNCH_TOLERANCE**2 * size
     least: Any = np.float32(1e-30)

@@ -132,8 +132,13 @@ class State:
             return np.zeros((3, *whole.shape), np.float32)
         p, q = self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape)
         along, _ = self.window.bending(self.pressure, self.moved, self.rest)
-        moved = whole.moved(p, q, self.over(along, whole.shape))
-        moved[:2] += whole.carried(moved, moved[2] + (self.gel - gel_layer.level(self.pressure, self.rest)))
+        moved = whole.moved(p, q)
+        led = whole.led(p, moved, self.gel) if self.friction and p.any() else None
+        bent = whole.dragged(self.over(along, whole.shape))
+        moved[:2] += bent + whole.carried(moved, moved[2] + (self.gel - gel_layer.level(self.pressure, self.rest)))
+        if led is not None:
+            (held,) = gel_layer.punch(self.window, self.pressure > 0, led[None, *self.place])
+            moved[2] += led - whole.sunk(self.over(held, whole.shape))
         return moved
 
     def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
@@ -275,7 +280,7 @@ class LiveSensor:
         per_metre = cell / MM  # kPa/mm to N/m
         window, cells, springs = self._punched
         if window is not state.window or not np.array_equal(cells, touching):
-            found = gel_layer.punch(state.window, touching, shear=self._friction > 0)
+            found = gel_layer.punch(state.window, touching, np.ones((2 if self._friction else 1, *touching.shape), np.float32))
             springs = np.zeros((touching.sum(), 2))
             springs[:, : len(found)] = found[:, touching].T
             self._punched = state.window, touching, springs
