@@ -7,8 +7,9 @@ alone, tabulated once; displacement from traction is then a product in Fourier s
 of the grid around the contact: convolution with the answer to one cell, on twice the window's cells, is there what the whole grid gives.
 
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). With friction
-the height is read nearer to X (`Window.led`): the face is drawn along, and its dent with it. The layer is as thick as the gel at the centre of pressure; with friction, under load, as stiff as one thinner by THINNING of the mean indentation. Flat
-faces meet more than that: it multiplies forces alone (`stiffening`).
+the height is read nearer to X (`Window.led`), as the face is drawn along and its slopes with it. The layer is as thick as the gel at the
+centre of pressure; with friction, under load, as stiff as one thinner by THINNING of the mean indentation. Flat faces meet more than that:
+it multiplies forces alone (`stiffening`).
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Friction (gelsim/fem/friction.py) is
 incremental: where |q| is below its bound the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over
@@ -24,8 +25,8 @@ of the first p∇g is what a slope adds to the force too. What the bulk does to 
 it markers are off by as much as with none, the other way. τ/G, rough at a contact's edge, is left out, and strains are smoothed over the
 deepest indentation: of shorter waves the series does not converge, and their part in it grows from round to round.
 
-Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, what second order does to
-heights and pressure, inertia, viscosity, and the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
+Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, what else second order
+does to heights and pressure, inertia, viscosity, the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ STIFFENING, FLATNESS = 0.59, 16.0
 """Of `stiffening`: least squares over punches, frusta, tori, tubes, wedges and balls at `balanced`, with friction of 0.25 to 1, of which
 53 % are within the bounds of docs/live.md without it, 82 % with it."""
 LED = 0.69
-"""Share of `Window.led` that is taken: least squares over heights of the same presses."""
+"""Share of `Window.led` that is taken: least squares over heights of the same presses, of which it leaves 0.33 of the squares."""
 THINNER = 0.1
 """Of the thickness: the step of a difference quotient."""
 BENT = 0.5
@@ -448,8 +449,8 @@ def pressure(window: Window, room: Values, start: Values, known: Values | None =
 def stiffening(window: Window, pressure: Values, moved: Values) -> float:
     """How many times as large tractions with friction are as those of the linear layer.
 
-    To first order as of a layer that is thinner by STIFFENING of the mean indentation, times its share of the deepest to the power FLATNESS:
-    0.4 under a flat face, 0.003 under a ball. It depends on the state alone, and changes neither it nor the ratio of shear to pressure.
+    To first order as of a layer thinner by STIFFENING of the mean indentation, times its share of the deepest to the power FLATNESS, 0.4
+    under a flat face and 0.003 under a ball. It depends on the state alone, and changes neither it nor the ratio of shear to pressure.
     """
     deepest, total = -float(moved[2].min(initial=0.0)), float(pressure.sum())
     if total == 0.0 or deepest <= 0.0:

@@ -117,6 +117,37 @@ def test_a_flat_face_meets_more_than_the_linear_layer() -> None:
     assert told / solved == pytest.approx(float(frames[1]._state.stiffer), rel=1e-5)
 
 
+def test_a_height_is_read_where_its_point_has_come_to() -> None:
+    """To first order, where the face is stretched; a dent that goes along and turns with its contact stays as it is.
+
+    Slopes are central differences: 0.2² / 6 of the third derivative, 1.38 · 0.3 / 2³, so 3.4e-4, times the motion, 0.14 mm at x = 4."""
+    grid = Layer((16.0, 16.0), GEL)
+    layer = grid.window(grid.shape, 2.4)
+    x, y = (way.astype(np.float32) for way in np.meshgrid(grid.x, grid.y))
+    p, dent, flat = np.exp(-(x**2 + y**2) / 2), -0.3 * np.exp(-(x**2 + y**2) / 8), 0 * x
+    stretched = np.stack([0.05 * x, flat, dent])
+    known = gel_layer.LED * 0.05 * x**2 / 4 * dent
+    assert np.allclose(layer.led(p, stretched, flat), known, rtol=0, atol=5e-5) and np.abs(known).max() > 5e-3
+    along = np.stack([0.3 - 0.1 * y, 0.1 * x - 0.2, flat])  # 0.15 mm where the dent is steepest
+    assert np.allclose(layer.led(p, stretched + along, flat), known, rtol=0, atol=5e-5)
+    dome = 0.1 * x  # which does not go along
+    assert np.allclose(layer.led(p, along, dome)[1:-1, 1:-1], -gel_layer.LED * 0.1 * along[0, 1:-1, 1:-1], rtol=0, atol=1e-5)
+
+
+def test_what_touches_stays_on_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is read nearer to its point: of the 12 µm that are there PUNCH_TOLERANCE is left."""
+
+    def pressed() -> LiveFrame:
+        return at(LiveSensor(scene(0.5, shape="box", width_mm=4.0, length_mm=6.0), image=False), 0, 0, -0.4)
+
+    found = pressed()
+    assert found.height.any()  # read now
+    monkeypatch.setattr(gel_layer, "LED", 0.0)
+    change = found.height - pressed().height
+    held = np.sqrt(np.mean(change[found.contact] ** 2))
+    assert held < gel_layer.PUNCH_TOLERANCE * 13e-6 and np.abs(change).max() > 20e-6
+
+
 def test_slip_opposes_and_stays_below_its_bound() -> None:
     grid = Layer((12.0, 12.0), GEL)
     layer = grid.window(grid.shape, 2.4)
