@@ -367,12 +367,13 @@ class Window:
         Args:
             pressure, moved, rest: As of `bending`, of the linear layer.
         """
-        x, y = np.meshgrid(self.layer.x.astype(np.float32), self.layer.y.astype(np.float32))
-        total = float(pressure.sum())
-        x, y = x - np.vdot(pressure, x) / total, y - np.vdot(pressure, y) / total
+        total, ways = float(pressure.sum()), (self.layer.x, self.layer.y[:, None])
+        x, y = ((way - (pressure * way).sum() / total).astype(np.float32) for way in ways)
         apart = moved[:2] - np.einsum("ij,kij->k", pressure, moved[:2])[:, None, None] / total
-        turned = np.vdot(pressure, x * apart[1] - y * apart[0]) / max(float(np.vdot(pressure, x**2 + y**2)), 1e-9)
-        apart -= turned * np.stack([-y, x])
+        inertia = float((pressure * (x**2 + y**2)).sum())
+        turned = np.float32((pressure * (x * apart[1] - y * apart[0])).sum() / max(inertia, 1e-9))
+        apart[0] += turned * y
+        apart[1] -= turned * x
         return np.float32(-LED) * (apart * self.slope(moved[2]) + moved[:2] * self.slope(rest)).sum(axis=0)
 
     def slope(self, values: Any) -> Values:

@@ -125,11 +125,11 @@ def test_a_height_is_read_where_its_point_has_come_to() -> None:
     layer = grid.window(grid.shape, 2.4)
     x, y = (way.astype(np.float32) for way in np.meshgrid(grid.x, grid.y))
     p, dent, flat = np.exp(-(x**2 + y**2) / 2), -0.3 * np.exp(-(x**2 + y**2) / 8), 0 * x
-    stretched = np.stack([0.05 * x, flat, dent])
+    stretched = np.stack([0.05 * x, flat, dent], dtype=np.float32)
     known = gel_layer.LED * 0.05 * x**2 / 4 * dent
     assert np.allclose(layer.led(p, stretched, flat), known, rtol=0, atol=5e-5) and np.abs(known).max() > 5e-3
-    along = np.stack([0.3 - 0.1 * y, 0.1 * x - 0.2, flat])  # 0.15 mm where the dent is steepest
-    assert np.allclose(layer.led(p, stretched + along, flat), known, rtol=0, atol=5e-5)
+    along = np.stack([0.3 - 0.1 * y, 0.1 * x - 0.2, flat], dtype=np.float32)  # 0.15 mm where the dent is steepest
+    assert np.allclose(layer.led(p, np.add(stretched, along, dtype=np.float32), flat), known, rtol=0, atol=5e-5)
     dome = 0.1 * x  # which does not go along
     assert np.allclose(layer.led(p, along, dome)[1:-1, 1:-1], -gel_layer.LED * 0.1 * along[0, 1:-1, 1:-1], rtol=0, atol=1e-5)
 
