@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -98,6 +98,13 @@ class State:
     anchor: Values
     """Motion along the face at which nothing slips, (2, rows, columns) [mm]. Where it sticks it is not taken from the solution, whose
     rounding would add up."""
+    friction: float
+    """Coefficient."""
+
+    @cached_property
+    def stiffer(self) -> Any:
+        """How many times as large as here the tractions are that others are told."""
+        return np.float32(gel_layer.stiffening(self.window, self.pressure, self.moved) if self.friction else 1.0)
 
     @cached_property
     def points(self) -> Array:
@@ -125,8 +132,13 @@ class State:
             return np.zeros((3, *whole.shape), np.float32)
         p, q = self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape)
         along, _ = self.window.bending(self.pressure, self.moved, self.rest)
-        moved = whole.moved(p, q, self.over(along, whole.shape))
-        moved[:2] += whole.carried(moved, moved[2] + (self.gel - gel_layer.level(self.pressure, self.rest)))
+        moved = whole.moved(p, q)
+        led = whole.led(p, moved, self.gel) if self.friction and p.any() else None
+        bent = whole.dragged(self.over(along, whole.shape))
+        moved[:2] += bent + whole.carried(moved, moved[2] + (self.gel - gel_layer.level(self.pressure, self.rest)))
+        if led is not None:
+            (held,) = gel_layer.punch(self.window, self.pressure > 0, led[None, *self.place])
+            moved[2] += led - whole.sunk(self.over(held, whole.shape))
         return moved
 
     def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
@@ -194,7 +206,7 @@ class LiveSensor:
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
         at_rest = nothing[0], nothing[:2], self._rest, nothing, nothing[:2], nothing[:2]
-        self._state = State(window, (slice(0, 0), slice(0, 0)), *at_rest)
+        self._state = State(window, (slice(0, 0), slice(0, 0)), *at_rest, self._friction)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
         """Moves the object to a pose and says what the sensor sees and feels there.
@@ -264,13 +276,13 @@ class LiveSensor:
         """The cells that touch, and how their forces go on over a small motion: for an implicit step of a simulator around the sensor."""
         layer, state = self._layer, self._state
         touching = state.pressure > 0
-        cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
+        cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * float(state.stiffer)  # kPa to N
         per_metre = cell / MM  # kPa/mm to N/m
         window, cells, springs = self._punched
         if window is not state.window or not np.array_equal(cells, touching):
-            found = gel_layer.punch(state.window, touching, shear=self._friction > 0)
+            found = gel_layer.punch(state.window, touching, np.ones((2 if self._friction else 1, *touching.shape), np.float32))
             springs = np.zeros((touching.sum(), 2))
-            springs[:, : len(found)] = found[:, touching].T * per_metre
+            springs[:, : len(found)] = found[:, touching].T
             self._punched = state.window, touching, springs
         at_rest = state.window.slope(state.rest)
         return Patch(
@@ -281,7 +293,7 @@ class LiveSensor:
             (state.slope - at_rest)[:, touching].T.astype(float),
             layer.cell[0] * layer.cell[1] * MM**2,
             self._friction,
-            springs,
+            springs * per_metre,
         )
 
     def _travel(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
@@ -366,7 +378,7 @@ class LiveSensor:
             along, carried = window.bending(p, moved, rest)
             anchor = np.where(stuck, anchor, moved[:2] + window.dragged(along) + carried)
         dragged, anchor = dragged.astype(np.float32, copy=False), anchor.astype(np.float32, copy=False)
-        self._state = State(window, place, p, q, self._rest, moved, dragged, anchor)
+        self._state = State(window, place, p, q, self._rest, moved, dragged, anchor, self._friction)
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
@@ -385,7 +397,7 @@ class LiveSensor:
 
     def _frame(self) -> LiveFrame:
         layer, state = self._layer, self._state
-        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # kPa to N
+        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * float(state.stiffer)  # kPa to N
         touching = state.pressure > 0
         p = state.pressure[touching]
         tangential = state.shear[:, touching] + p * state.slope[:, touching]
@@ -417,7 +429,7 @@ class LiveSensor:
     def pressure_at(self, places: Array) -> Array:
         """Contact pressure [Pa], (M,), on the material points of the surface that rest over places (M, 2) [m]."""
         state = self._state
-        whole = state.over(state.pressure, self._layer.shape)
+        whole = state.over(state.pressure * state.stiffer, self._layer.shape)
         return self._read(whole, self._now_at(state, places), gel_layer.between).astype(float) / KPA_PER_PA
 
     def _now_at(self, state: State, places: Array) -> Array:

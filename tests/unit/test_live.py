@@ -88,6 +88,66 @@ def test_a_ball_on_a_layer(thickness: float, depth: float, side: float, cell: fl
     assert stiffer > 1.133 * chi * (1 / 0.6 - 1)  # planted: a thinner gel is seen
 
 
+def test_a_flat_face_meets_more_than_the_linear_layer() -> None:
+    """By virtual work δF d = -pᵀ δC p under a flat face: as much as of a layer that is thinner by so much of the depth, to first order.
+
+    Second order is left out: of 3 % in thickness, whose force goes as h^-3 at most, 3 · 4 / 2 · 0.03² = 0.5 %; as much again by the
+    difference quotient, a tenth of the thickness wide, of that first order's 9 % at most 0.1 · 2 · 9 %."""
+    grid = Layer((16.0, 16.0), GEL)
+    layer, depth = grid.window(grid.shape, 2.4), 0.2
+    x, y = np.meshgrid(grid.x, grid.y)
+    none = np.zeros(grid.shape, np.float32)
+
+    def found(room: np.ndarray) -> tuple[float, float, float]:
+        p, gap = pressure(layer, room.astype(np.float32), none)
+        mean = float(np.vdot(p, gap - room) / p.sum())
+        return gel_layer.stiffening(layer, p, layer.moved(p, np.stack([none, none]))), float(p.sum()), mean
+
+    flat = np.where(np.maximum(abs(x), abs(y)) < 2.5, -depth, 5.0)
+    factor, force, mean = found(flat)
+    share = gel_layer.STIFFENING * (mean / depth) ** gel_layer.FLATNESS * mean / 2.4
+    thinner = float(pressure(layer.at((1 - share) * 2.4), flat.astype(np.float32), none)[0].sum()) / force
+    assert factor - 1 == pytest.approx(thinner - 1, abs=0.005 + 0.2 * (thinner - 1))
+    assert factor > 1.03  # planted: none
+    assert found((x**2 + y**2) / 16 - depth)[0] - 1 < 0.02 * (factor - 1)  # under a ball the layer is thinner instead
+    frames = [at(LiveSensor(scene(friction, shape="box", width_mm=4.0, length_mm=6.0), image=False), 0, 0, -0.2) for friction in (0.0, 0.5)]
+    assert [frame._state.stiffer > 1.02 for frame in frames] == [False, True]
+    cell = 1e-3 * frames[1]._state.window.layer.cell[0] * frames[1]._state.window.layer.cell[1]
+    told, solved = -frames[1].force[2], float(frames[1]._state.pressure.sum()) * cell
+    assert told / solved == pytest.approx(float(frames[1]._state.stiffer), rel=1e-5)
+
+
+def test_a_height_is_read_where_its_point_has_come_to() -> None:
+    """To first order, where the face is stretched; a dent that goes along and turns with its contact stays as it is.
+
+    Slopes are central differences: 0.2² / 6 of the third derivative, 1.38 · 0.3 / 2³, so 3.4e-4, times the motion, 0.14 mm at x = 4."""
+    grid = Layer((16.0, 16.0), GEL)
+    layer = grid.window(grid.shape, 2.4)
+    x, y = (way.astype(np.float32) for way in np.meshgrid(grid.x, grid.y))
+    p, dent, flat = np.exp(-(x**2 + y**2) / 2), -0.3 * np.exp(-(x**2 + y**2) / 8), 0 * x
+    stretched = np.stack([0.05 * x, flat, dent], dtype=np.float32)
+    known = gel_layer.LED * 0.05 * x**2 / 4 * dent
+    assert np.allclose(layer.led(p, stretched, flat), known, rtol=0, atol=5e-5) and np.abs(known).max() > 5e-3
+    along = np.stack([0.3 - 0.1 * y, 0.1 * x - 0.2, flat], dtype=np.float32)  # 0.15 mm where the dent is steepest
+    assert np.allclose(layer.led(p, np.add(stretched, along, dtype=np.float32), flat), known, rtol=0, atol=5e-5)
+    dome = 0.1 * x  # which does not go along
+    assert np.allclose(layer.led(p, along, dome)[1:-1, 1:-1], -gel_layer.LED * 0.1 * along[0, 1:-1, 1:-1], rtol=0, atol=1e-5)
+
+
+def test_what_touches_stays_on_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is read nearer to its point: of the 12 µm that are there PUNCH_TOLERANCE is left."""
+
+    def pressed() -> LiveFrame:
+        return at(LiveSensor(scene(0.5, shape="box", width_mm=4.0, length_mm=6.0), image=False), 0, 0, -0.4)
+
+    found = pressed()
+    assert found.height.any()  # read now
+    monkeypatch.setattr(gel_layer, "LED", 0.0)
+    change = found.height - pressed().height
+    held = np.sqrt(np.mean(change[found.contact] ** 2))
+    assert held < gel_layer.PUNCH_TOLERANCE * 13e-6 and np.abs(change).max() > 20e-6
+
+
 def test_slip_opposes_and_stays_below_its_bound() -> None:
     grid = Layer((12.0, 12.0), GEL)
     layer = grid.window(grid.shape, 2.4)
