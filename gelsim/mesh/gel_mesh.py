@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from gelsim.errors import MeshingError
 from gelsim.geometry import (
@@ -52,6 +53,8 @@ _FOLDED = (1.0, 0.5, 0.25)
 _LEAST = 0.01
 """Mean-ratio quality below which a tet counts as folded: of one that the dome flattens to none, rounding alone says the sign."""
 _ROUNDS = 10
+ALIKE = 0.05 * MM
+"""Distance of a rim's middle from the mirror image of another within which they are the same."""
 
 
 def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
@@ -61,11 +64,11 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
         SceneError: The object's fields make no solid, or none of it lies over the gel.
         MeshingError: A tet folds under the dome.
     """
-    sizes, area = SIZES[scene.fidelity], footprint(scene)
+    rims = rims_on_gel(scene)
+    sizes, area = SIZES[scene.fidelity], _unmirrored(footprint(scene), rims)
     if scene.fidelity != "fast":
         sizes = replace(sizes, rim=_rim(scene.object, sizes) / LONGER_ACROSS)
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
-    rims = rims_on_gel(scene)
     fine = FINE_DEPTH * min(thickness, *area.high)
     edge = edge_in_contact(scene, area)
     field = contact_field(area, -fine, 0.0, edge, sizes, sizes.gel_far, rims, core(scene, edge, of_object=False))
@@ -98,6 +101,20 @@ def _rim(body: Body, sizes: MeshSizes) -> float:
     """Edge length along rims [m]: short enough for the radius of a rigid object's, if that has one."""
     radius = edge_radius(body) if body.rigid else 0.0
     return min(sizes.rim, max(RIM_PER_RADIUS * radius, sizes.finest)) if radius else sizes.rim
+
+
+def _unmirrored(area: Footprint, rims: Array) -> Footprint:
+    """The area, as lying at one side along each axis to whose other side the rims (K, 2, 3) have no mirror images: these would be meshed
+    as well."""
+    if not len(rims):
+        return area
+    middles = rims.mean(axis=1)
+    low, high, sides = list(area.low), list(area.high), list(area.side)
+    for axis in (0, 1):
+        image = middles * np.where(np.arange(3) == axis, -1.0, 1.0)
+        if not sides[axis] and KDTree(middles).query(image)[0].max() > ALIKE:
+            low[axis], sides[axis] = -high[axis], 1
+    return replace(area, low=tuple(low), high=tuple(high), side=tuple(sides))
 
 
 def _folded_rims(rims: Array, area: Footprint) -> Array:
