@@ -66,8 +66,6 @@ class SolveReport:
     """Approaches [mm] from which it was gone on with in another way."""
     contact_points: int | None = None
     """Quadrature points on a face of the gel."""
-    friction_coefficient: float | str | None = None
-    """μ that it was solved with, or "stick"."""
     symmetry: str | tuple[str, ...] | None = None
     """Mirror planes that reduced it, or the kind of its profile."""
     rigid_object: bool | None = None

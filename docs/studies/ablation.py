@@ -74,7 +74,6 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "newton.STALLED": (0.25, 0.75),
     "newton.LARGEST_GROWTH": (1.5, 6.0),
     "newton.GEOMETRIC_BELOW": (0.25, 1.0),
-    "strategy.GRIP": (0.15, 0.6),
     "quasistatic.LONGEST_STEP": (0.5e-3, 2e-3),
     "quasistatic.FIRST_STEP": (0.125e-3, 0.5e-3),
     "problem.STICK_PER_MODULUS": (5.0, 20.0),
@@ -145,8 +144,8 @@ def changed(setting: str) -> Iterator[None]:
         setattr(owner, name, value)
 
     if setting.startswith("without try "):
-        left, ways = int(setting.split()[-1]), strategy.ways
-        put(strategy, "ways", lambda scene: [way for number, way in enumerate(ways(scene), start=1) if number != left])
+        left = int(setting.split()[-1])
+        put(strategy, "WAYS", tuple(way for number, way in enumerate(strategy.WAYS, start=1) if number != left))
     else:
         place, _, said = setting.partition("=")
         module, *owners, name = place.split(".")
@@ -163,8 +162,6 @@ def changed(setting: str) -> Iterator[None]:
             if place == "problem.MOST_WASTED":
                 kind = importlib.import_module("gelsim.fem.problem").Numerics
                 put(kind.__init__, "__defaults__", tuple(type(old)(value) if old == before else old for old in kind.__init__.__defaults__))
-            if place == "strategy.GRIP":
-                put(strategy, "GRIPPED", dataclasses.replace(strategy.GRIPPED, least_friction=value))
     try:
         yield
     finally:

@@ -63,7 +63,6 @@ def facts(press: Deformation, states_wanted: int) -> Row:
         "message": press.message if press.status is not SolveStatus.CONVERGED else "",
         "ended_by": press.report.ended_by,
         "tried": press.report.tried,
-        "friction_coefficient": press.report.friction_coefficient,
         "states": len(press.approach),
         "states_wanted": states_wanted,
         "unknowns": press.report.unknowns,

@@ -62,10 +62,10 @@ def solve_press(
     progress: Callable[[int, int], None] | None = None,
     enough: Callable[[Deformation], bool] | None = None,
 ) -> Deformation:
-    """Solves a press; one that ends where no equilibrium is found is tried again (`ways`), and the one that got furthest is returned.
+    """Solves a press; one that ends where no equilibrium is found is tried again (`strategy.WAYS`); the one that got furthest is returned.
 
     The second try goes on from where the first stands, with twice the contact points and volume held at points too; where that does not
-    get there soon, the third begins so at rest. The last, where friction was less, has `GRIP`. Its report says so. More points see more of
+    get there soon, the third begins so at rest. Its report says so. More points see more of
     how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps crushed tets from
     folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
@@ -83,7 +83,7 @@ def solve_press(
     from gelsim.fem.strategy import tries
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    marching = tries(scene, enough)
+    marching = tries(enough)
     way, course = next(marching)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
@@ -102,13 +102,12 @@ def _problem(
 ) -> PressProblem:
     """A press as a try discretises it; `patient` None: where volume is held from rest on."""
     from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
-    from gelsim.fem.strategy import tried
     from gelsim.scene.materials import press_materials
 
     patient = (way.held > 0.0 and not way.goes_on) if patient is None else patient
     wasted = MOST_WASTED if way.most_wasted is None else way.most_wasted
     numerics = Numerics(contact_points=way.contact_points, held=way.held, most_wasted=wasted, patient=patient)
-    return PressProblem(tried(scene, way), gel, body, placement, press_materials(scene), device, numerics)
+    return PressProblem(scene, gel, body, placement, press_materials(scene), device, numerics)
 
 
 def solves_on_gpu() -> bool:
@@ -143,7 +142,7 @@ def solve_batch(
     from gelsim.fem.strategy import tries
 
     done: dict[int, Deformation] = {}
-    marching = [tries(scene) for scene, *_ in bodies]
+    marching = [tries() for _ in bodies]
     asked = {number: next(one) for number, one in enumerate(marching)}
     while asked:
         groups: dict[Try, dict[int, Course]] = {}

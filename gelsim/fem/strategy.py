@@ -1,4 +1,4 @@
-"""The ways in which a press is tried, and what goes from one to the next: one table (`ways`), one driver (`tries`).
+"""The ways in which a press is tried, and what goes from one to the next: one table (`WAYS`), one driver (`tries`).
 
 Left out: solving itself (`gelsim.fem.solve_press`), and how a march ends (`quasistatic`).
 """
@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from gelsim.errors import SolveStatus
 from gelsim.fem.quasistatic import SOON, Course
 from gelsim.results import Deformation
-from gelsim.scene.definition import Scene
 
 
 @dataclass(frozen=True)
@@ -24,24 +23,21 @@ class Try:
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     most_wasted: int | None = None
     """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
-    least_friction: float = 0.0
-    """The smallest μ."""
     goes_on: bool = False
     """Begins where the try before it ended, not at rest."""
 
 
-GRIP = 0.3
-"""μ from which on friction holds a soft tip: with less it slides away in its own folds, and Newton with it. Least μ of the last try."""
+PLAIN, HELD = Try(), Try(12, held=20.0)
+WAYS = (PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD)
+"""The tries that a press may have, one after the other until one reaches its end."""
 
-PLAIN, HELD, GRIPPED = Try(), Try(12, held=20.0), Try(12, held=20.0, least_friction=GRIP)
 
-
-def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
+def tries(enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
     """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
 
     Where the approach of a force was found in several tries, all begin again to record the way there.
     """
-    course, best, number, left, turns = Course(), None, 0, ways(scene), []
+    course, best, number, left, turns = Course(), None, 0, list(WAYS), []
     while left:
         way, *left = left
         if not way.goes_on:
@@ -53,9 +49,9 @@ def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> 
         turns.append((way, 0.0 if course.before is None else 1e3 * course.before.approach))
         number, course.followed = number + 1, bool(left) and left[0].goes_on
         press = yield way, course
-        press = _reported(press, scene, turns, number)
+        press = _reported(press, turns, number)
         if course.searched:
-            course.searched, left, best = False, ways(scene), None
+            course.searched, left, best = False, list(WAYS), None
             continue
         best = further(best, press)
         if not press.lost:
@@ -64,39 +60,19 @@ def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> 
     return best
 
 
-def ways(scene: Scene) -> list[Try]:
-    """The tries that a scene may have, one after the other until one reaches its end."""
-    friction = scene.contact.friction_coefficient
-    slips = not isinstance(friction, str) and friction < GRIP
-    return [PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD, *([GRIPPED] if slips else [])]
-
-
-def tried(scene: Scene, way: Try) -> Scene:
-    """The scene as it is solved."""
-    asked = scene.contact.friction_coefficient
-    if isinstance(asked, str) or asked >= way.least_friction:
-        return scene
-    return scene.replace(contact=replace(scene.contact, friction_coefficient=way.least_friction))
-
-
-def _reported(press: Deformation, scene: Scene, turns: Sequence[tuple[Try, float]], number: int) -> Deformation:
+def _reported(press: Deformation, turns: Sequence[tuple[Try, float]], number: int) -> Deformation:
     """The press whose report says which try it is, and which led there: each with the approach [mm] that it went on from."""
     way = turns[-1][0]
-    asked = scene.contact.friction_coefficient
-    solved = tried(scene, way).contact.friction_coefficient
     press = press.reporting(
         tried=number,
         contact_points=way.contact_points,
         went_on_from_mm=tuple(round(start, 4) for _, start in turns[1:]),
-        friction_coefficient=solved,
     )
     # those after a try with held volume have it too
     since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
     if way.held > 0.0:
         told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
         press = press.warned(f"did not reach its end at first: solved {told}")
-    if solved != asked:  # it began at rest
-        press = press.warned(f"with a friction coefficient of {asked} no equilibrium was found on its way: solved with {solved} instead")
     return press
 
 

@@ -508,10 +508,9 @@ def test_what_is_enough_comes_through(target: dict[str, float], monkeypatch: pyt
 @pytest.mark.parametrize("enough_mm", [None, 0.3, 3.0])
 def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float | None, deformation: Deformation) -> None:
     """Its tries that go on it has: one, and then one from rest, if it had to."""
-    scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
-    tries, made = strategy.tries(scene, enough), []
+    tries, made = strategy.tries(enough), []
     way, course = next(tries)
     with pytest.raises(StopIteration) as end:
         while True:
@@ -525,8 +524,7 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
 def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(deformation: Deformation) -> None:
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
     there = replace(deformation, report=SolveReport(ended_by=PressEnd.FORCE))
-    scene = build_scene({"contact": {"friction_coefficient": 0.8}, "press": {"symmetry": "mirror"}})
-    tries = strategy.tries(scene, lambda _: True)
+    tries = strategy.tries(lambda _: True)
     _, course = next(tries)
     course.before = SimpleNamespace(approach=0.0)  # type: ignore[assignment]
     way, _ = tries.send(lost)
