@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 KEYS = {
     "ball_radius_mm": float, "no_contact": str | tuple[str, ...], "mm_per_px": float, "gel": dict, "markers": bool, "linear": bool,
     "order": str, "crop_px": tuple[int, int, int, int], "corners_px": list, "corners_mm": tuple[float, float], "mask": str,
-    "lens_k": float | str,
+    "lens_k": float,
 }  # fmt: skip
 NUMBERS = ("col_px", "row_px", "contact_radius_px", "depth_mm")
 """Columns that are NaN where a cell is empty."""
@@ -107,7 +107,7 @@ def read_photos(folder: Path) -> Photos:
     rows = _rows(folder, reader, settings, {"col_px": width, "row_px": height})
     reader.crop = settings.get("crop_px")
     reader.corners = Corners(settings["corners_px"], settings.get("corners_mm")) if "corners_px" in settings else None
-    reader.lens = _lens(settings, first, folder / "photos.toml")
+    reader.lens = _lens(settings, first)
     if len(rows) + 1 > MOST_PHOTOS:
         raise SceneError(f"--photos {folder}: {len(rows) + 1} pictures; at most {MOST_PHOTOS} are taken")
     if width * height * (len(rows) + 1) > MOST_PIXELS:
@@ -139,17 +139,13 @@ def read_photos(folder: Path) -> Photos:
     )
 
 
-def _lens(settings: dict[str, Any], photo: Array, path: Path) -> Lens | None:
-    """As given, or as the markers of a whole photograph (H, W, 3) show it; none where nothing is said."""
-    size, k = (photo.shape[1], photo.shape[0]), settings.get("lens_k", 0.0)
-    if k != "markers":
+def _lens(settings: dict[str, Any], photo: Array) -> Lens | None:
+    """As given, else as the markers of a whole photograph (H, W, 3) show it."""
+    size, k = (photo.shape[1], photo.shape[0]), settings.get("lens_k")
+    if k is not None:
         return Lens(k, size) if k else None
-    found = fitted_lens(blobs(photo)[0], size)
-    if found is None:
-        raise SceneError(
-            f'{path}: lens_k = "markers", but no_contact has no grid of dots that shows a distortion; leave it out, or give a number'
-        )
-    return found
+    whole = not {"crop_px", "corners_px"} & settings.keys()
+    return fitted_lens(blobs(photo)[0], size) if settings.get("markers") and whole else None
 
 
 def _straight_scale(mm_per_px: float | None, lens: Lens | None) -> float | None:
@@ -233,9 +229,8 @@ def _check_cut(table: dict[str, Any], path: Path) -> None:
     if "lens_k" in table:
         if "crop_px" in table or "corners_px" in table:
             raise SceneError(f"{path}: lens_k is of whole photographs: take crop_px and corners_px away, or straighten the pictures before")
-        k = table["lens_k"]
-        if k != "markers" and (isinstance(k, str) or not RANGE[0] <= k <= RANGE[1]):
-            raise SceneError(f'{path}: lens_k = {k}: allowed is {RANGE[0]:g} … {RANGE[1]:g}, or "markers", which show it')
+        if not RANGE[0] <= table["lens_k"] <= RANGE[1]:
+            raise SceneError(f"{path}: lens_k = {table['lens_k']}: allowed is {RANGE[0]:g} … {RANGE[1]:g}")
     if "corners_mm" in table:
         if "corners_px" not in table or "mm_per_px" in table:
             raise SceneError(f"{path}: corners_mm is the size of corners_px's rectangle, in place of mm_per_px")

@@ -14,21 +14,24 @@ Left out: profiles that are not convex, mesh files.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.geometry import FACE_EDGES, PlanarMesh, edges_of
 from gelsim.mesh.sizing import OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField, contact_edge
-from gelsim.scene.definition import Scene
+from gelsim.scene.definition import Body, Scene
 from gelsim.scene.shape_table import SHAPES
-from gelsim.shape.outlines import profile
+from gelsim.shape.outlines import edge_radius, profile, rounded
 from gelsim.shape.shapes import gel_height, press_depth
 from gelsim.shape.solids import Array, Segment, Sizes, edge_middles, refine
 from gelsim.units import MM
 
 FINER = {"fast": 1.5, "balanced": 1.5, "reference": 2.1}
 """Edges of a solid's mesh over those of a profile. `reference` wants the contact's radius to 1 % (docs/validation.md, Accuracy)."""
+RIM_PER_RADIUS = 0.5
+"""Edge length at a rigid object's rounded rim over its radius."""
 _MARGIN = 0.1 * MM
 """Beyond the overlap, as fine as in it."""
 _SHARP = np.cos(np.radians(30.0))
@@ -51,29 +54,40 @@ def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | 
     """
     sizes, depth = SIZES[scene.fidelity], press_depth(scene)
     finer = finer or FINER[scene.fidelity]
-    segments = profile(scene.object)
+    segments = _pressed(scene.object)
     turned = SHAPES[scene.object.shape].turned
     end = gel_end or (gel_radius(scene) if turned else scene.gel.size_mm[0] * MM / 2)
     half = min(overlap(scene) + _MARGIN, end)
     edge = contact_edge(Footprint((0.0, 0.0), (half, half), 1.0), sizes)
-    rims = np.array([before.end for before, after in zip(segments[:-1], segments[1:], strict=True) if _sharp(before, after)])
-    rims = rims.reshape(-1, 2)
-    rims = rims[(rims[:, 1] < depth) & (rims[:, 0] < end * (1 - 1e-3))]
+    radius = edge_radius(scene.object) if scene.object.rigid else 0.0
+    ends = [before.end for before, after in zip(segments[:-1], segments[1:], strict=True) if _sharp(before, after)]
+    arcs = [np.mean([segment.start, segment.end], axis=0) for segment in segments if 0.0 < segment.radius <= radius]
+    rims, rounds = (_touched(np.reshape(some, (-1, 2)), depth, end) for some in (ends, arcs))
+    if radius:
+        sizes = replace(sizes, rim=min(sizes.rim, RIM_PER_RADIUS * radius))
     bottom = -min(0.5 * scene.gel.thickness_mm * MM, 0.5 * half)
-    gel = _field(half, bottom, 0.0, edge, sizes, sizes.gel_far, rims * [1.0, 0.0])
+    gel = _field(half, bottom, 0.0, edge, sizes, sizes.gel_far, np.vstack([rims, rounds]) * [1.0, 0.0])
     gel_mesh = gel_profile(scene, end, rims, lambda p: gel(p) / finer)
     body_edge = OBJECT_COARSER * edge
     across = max(segment.end[0] for segment in segments)
     far = max(body_edge, min(sizes.object_far, across / 1.25))
-    body = _field(half, 0.0, 0.5 * depth, body_edge, sizes, far, rims)
+    body = _field(half, 0.0, 0.5 * depth, body_edge, sizes, far, np.vstack([rims, rounds]))
     if scene.object.rigid:
         return gel_mesh, rigid_profile(segments, lambda p: body(p) / finer)
     return gel_mesh, _object(segments, lambda p: body(p) / finer)
 
 
+def _touched(points: Array, depth: float, end: float) -> Array:
+    return points[(points[:, 1] < depth) & (points[:, 0] < end * (1 - 1e-3))]
+
+
+def _pressed(body: Body) -> tuple[Segment, ...]:
+    return rounded(profile(body), edge_radius(body)) if body.rigid else profile(body)
+
+
 def overlap(scene: Scene) -> float:
     """Half width [m] of the overlap of undeformed object and gel at full depth, centred."""
-    line = np.vstack([_fine(segment) for segment in profile(scene.object)])
+    line = np.vstack([_fine(segment) for segment in _pressed(scene.object)])
     inside = line[:, 1] - gel_height(scene.gel, line * [1.0, 0.0]) < press_depth(scene)
     return float(line[inside, 0].max())
 

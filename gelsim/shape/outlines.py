@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelsim.errors import SceneError
 from gelsim.scene.definition import Body
@@ -95,6 +97,42 @@ def _fault(segments: Profile, within: float, convex: bool) -> str:
         if convex and x0 * z1 - z0 * x1 < -1e-6:
             return f"its profile is not convex at {told(other.start)}; its row needs convex=False"
     return ""
+
+
+def rounded(segments: Profile, radius: float) -> Profile:
+    """A rigid object's profile with the corners between its lines, and its tip, rounded as its distance field's are; its apex at z = 0.
+
+    Args:
+        radius: [m]. No arc reaches beyond the middle of a line.
+    """
+    (x, z), tip = segments[0].start, segments[0]
+    mirrored = Segment((-tip.end[0], tip.end[1]), (-x, z), tip.radius)
+    found: list[Segment] = []
+    for number, (before, after) in enumerate(itertools.pairwise([mirrored, *segments])):
+        u, v = before.way(1), after.way(0)
+        turn = float(np.arctan2(u[0] * v[1] - u[1] * v[0], u @ v))
+        if before.radius or after.radius or turn < 1e-6 or radius == 0.0:
+            found += [after] if number else [tip]
+            continue
+        shortest = min(np.linalg.norm(np.subtract(line.end, line.start)) for line in (before, after))
+        reach = min(radius * np.tan(turn / 2), shortest / 2)
+        size, corner = reach / np.tan(turn / 2), np.array(after.start)
+        begin, end = corner - reach * u, corner + reach * v
+        middle = begin + size * np.array([-u[1], u[0]])
+        if number:
+            found[-1] = replace(found[-1], end=_pair(begin))
+        else:  # of the tip's arc one half
+            begin = middle - [0.0, size]
+        found += [Segment(_pair(begin), _pair(end), size, _pair(middle)), replace(after, start=_pair(end))]
+    low = found[0].start[1]
+    return tuple(
+        Segment((one.start[0], one.start[1] - low), (one.end[0], one.end[1] - low), one.radius,
+                None if one.centre is None else (one.centre[0], one.centre[1] - low)) for one in found
+    )  # fmt: skip
+
+
+def _pair(point: NDArray[np.float64]) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
 
 
 def bore(body: Body) -> Profile:

@@ -72,7 +72,7 @@ def test_photographs_are_straightened_where_markers_show_how(tmp_path: Path) -> 
         (tmp_path / "photos.toml").write_text(f'no_contact = "rest.png"\nball_radius_mm = 3\nmm_per_px = 0.05\n{more}')
         return read_photos(tmp_path)
 
-    found, told, plain = read('lens_k = "markers"'), read(f"lens_k = {k}"), read("markers = true")
+    found, told, plain = read("markers = true"), read(f"lens_k = {k}"), read("markers = true\nlens_k = 0")
     assert found.lens_k == pytest.approx(k, abs=0.02) and told.lens_k == k and plain.lens_k == 0.0
     lens = Lens(k, SIZE)
     assert told.hints[0, :2] == pytest.approx(lens.straight(np.array(mark))) and plain.hints[0, :2] == pytest.approx(mark)
@@ -82,12 +82,12 @@ def test_photographs_are_straightened_where_markers_show_how(tmp_path: Path) -> 
     assert fitted_lens(blobs(told.no_contact)[0], SIZE) is None
     crooked = fitted_lens(blobs(read("lens_k = -0.1").no_contact)[0], SIZE)
     assert crooked is not None and crooked.k > k
+    assert read("markers = true\ncrop_px = [0, 0, 100, 100]").lens_k == 0.0
     Image.fromarray(dotted(0.0)).save(tmp_path / "rest.png")
-    with pytest.raises(SceneError, match="no grid of dots that shows a distortion"):
-        read('lens_k = "markers"')
+    assert read("markers = true").lens_k == 0.0
     for wrong, said in (
         ("lens_k = 3", "allowed is -0.14"),
-        ('lens_k = "dots"', 'or "markers"'),
+        ('lens_k = "dots"', "lens_k"),
         ("lens_k = 0.1\ncrop_px = [0, 0, 100, 100]", "lens_k is of whole photographs"),
     ):
         with pytest.raises(SceneError, match=said):
