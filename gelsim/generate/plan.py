@@ -390,14 +390,7 @@ class Catalogue:
             SceneError: The plan drew a scene that contradicts itself.
         """
         plan, rng = self.plan, generator(self.seed, PRESS, number)
-        group = plan.groups[int(rng.choice(len(plan.groups), p=self._shares))]
-        owner = group if group.kinds else next(item for item in plan.groups if item.number == group.objects_of and item.kinds)
-        count = self.objects(owner)
-        chosen = int(rng.integers(count))
-        if group is not owner:
-            # The next one that is trained on: a row of its own may not show what no training saw.
-            chosen = next((k for k in ((chosen + j) % count for j in range(count)) if self.object(owner, k).trained), chosen)
-        thing = self.object(owner, chosen)
+        group, owner, thing = self._chosen(rng)
         sensor = int(rng.integers(plan.sensors))
         base = self._sensor(sensor)
         layers = [self._sensor_layer(sensor), {"object": thing.layer}]
@@ -414,6 +407,22 @@ class Catalogue:
         except GelsimError as error:
             raise SceneError(f"plan {plan.name}, seed {self.seed}, press {number} ({group.name}): {error}") from None
         return Press(number, group, thing, sensor, scene, self._split(group, owner, thing))
+
+    def split(self, number: int) -> str | None:
+        """Of press `number`, whose scene is not built for it."""
+        return self._split(*self._chosen(generator(self.seed, PRESS, number)))
+
+    def _chosen(self, rng: np.random.Generator) -> tuple[Group, Group, DrawnObject]:
+        """The first that is drawn of a press: its group, the one whose objects that has, the object."""
+        plan = self.plan
+        group = plan.groups[int(rng.choice(len(plan.groups), p=self._shares))]
+        owner = group if group.kinds else next(item for item in plan.groups if item.number == group.objects_of and item.kinds)
+        count = self.objects(owner)
+        chosen = int(rng.integers(count))
+        if group is not owner:
+            # The next one that is trained on: a row of its own may not show what no training saw.
+            chosen = next((k for k in ((chosen + j) % count for j in range(count)) if self.object(owner, k).trained), chosen)
+        return group, owner, self.object(owner, chosen)
 
     def episode(self, press: Press, end: int) -> EpisodeDraw:
         """Episode `end` (of len(plan.end_points)) of a press."""

@@ -104,13 +104,13 @@ class Extent:
     def presses(self, catalogue: Catalogue) -> dict[int, list[int]]:
         """Numbers of the presses that it asks for, with the ends of each that are."""
         ends = len(catalogue.plan.end_points)
-        # Beyond it a press must be drawn to know its split: milliseconds.
+        # Beyond it a press's object must be drawn to know its split.
         all_of = min(self.episodes if most is None else most for most in (self.test, self.train))
 
         def is_asked(number: int) -> bool:
             if number * ends < all_of:
                 return True
-            most = self.train if catalogue.press(number).split in SPLITS_LEARNT else self.test
+            most = self.train if catalogue.split(number) in SPLITS_LEARNT else self.test
             return most is None or number * ends < most
 
         return {

@@ -295,6 +295,15 @@ def test_a_fault_that_ends_all_costs_no_piece(tmp_path: Path, monkeypatch: pytes
 # ---- folders ----
 
 
+def test_what_is_asked_for_is_known_before_any_scene_is_built(monkeypatch: pytest.MonkeyPatch):
+    """A hundred thousand scenes would take ten minutes before the first press."""
+    catalogue = Catalogue(load_plan("families"), 5)
+    splits = [catalogue.press(number).split for number in range(60)]
+    assert [catalogue.split(number) for number in range(60)] == splits
+    monkeypatch.setattr(Catalogue, "press", lambda *_: pytest.fail("a press was drawn whole"))
+    assert list(Extent(60, test=0).presses(catalogue)) == [n for n, split in enumerate(splits) if split in ("train", "validation")]
+
+
 def test_folders_that_cannot_be_used(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneError, match="is a file"):
