@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from mesh_fixtures import assert_whole, scene
 
 from gelsim.errors import MeshingError
@@ -248,9 +250,9 @@ def test_contact_on_one_side_is_meshed_there_alone() -> None:
 
 FOLDS = {
     # A rim across a corner of the gel, where it is 0.4 mm thin, makes a face that leans below a vertex it lay above.
-    "rim": ((2.74, 0.75), Press(depth_mm=1.643, tilt_deg=(-1.07, 5.76), offset_mm=(-0.13, -3.43), twist_deg=-4.03)),
+    "rim": ((2.66, 0.61), Press(depth_mm=1.38, tilt_deg=(-6.32, 5.51), offset_mm=(1.59, -0.41), twist_deg=2.99)),
     # Across the crease an edge passes through a vertex: the dome is twice as thick at 12.5 mm as its land, the vertex half as high again.
-    "crease": ((2.67, 0.6), Press(depth_mm=2.1, tilt_deg=(8.45, 0.0), offset_mm=(-2.58, -3.45), twist_deg=3.05)),
+    "crease": ((2.69, 0.65), Press(depth_mm=1.21, tilt_deg=(8.36, 0.0), offset_mm=(-0.32, 0.48), twist_deg=4.83)),
 }
 
 
@@ -362,3 +364,21 @@ def test_a_corner_of_a_rim_is_a_vertex_and_no_edge_crosses_it() -> None:
 
     assert inside_area(moved, cut) == pytest.approx(float(np.prod(high - low)), rel=1e-9)
     assert abs(inside_area(vertices, tets) / np.prod(high - low) - 1) > 1e-3  # the planted fault: not laid
+
+
+def test_rims_without_mirror_images_are_not_meshed_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plate off the middle: edges lie along its side at x = 4 mm, and none where the image of that would be."""
+    trimesh.creation.box(bounds=[[-3, -4, 0], [3, 4, 2]]).export(tmp_path / "part.stl")
+    body = Body(shape="mesh", mesh=str(tmp_path / "part.stl"), rigid=True)
+    plate = Scene(object=body, gel=Gel(profile="flat"), press=Press(depth_mm=0.5, offset_mm=(1.0, 0.0)), fidelity="fast")
+
+    def on(x: float) -> int:
+        at = mesh.rest_positions[np.unique(mesh.groups["coated"][:, :3]), :2] * 1e3
+        return int(((np.abs(at[:, 0] - x) < 1e-6) & (np.abs(at[:, 1]) < 4.0)).sum())
+
+    mesh = mesh_gel(plate)
+    assert_whole(mesh)
+    assert on(4.0) >= 5 and on(-4.0) == 0
+    monkeypatch.setattr(gel_mesh, "_unmirrored", lambda area, rims: area)  # the planted fault
+    mesh = mesh_gel(plate)
+    assert on(-4.0) >= 5

@@ -65,7 +65,7 @@ def test_an_account_is_read_as_one_or_not_at_all(tmp_path: Path, deformation: De
 def test_a_solve_report_is_the_same_after_it_was_written(tmp_path: Path, deformation: Deformation) -> None:
     """What is not known, and warnings that there are none, are left out; an empty symmetry is known."""
     whole = SolveReport(
-        ended_by=PressEnd.LOST, tried=2, went_on_from_mm=(0.5,), friction_coefficient="stick", symmetry=("x", "y"), rigid_object=False,
+        ended_by=PressEnd.LOST, tried=2, went_on_from_mm=(0.5,), symmetry=("x", "y"), rigid_object=False,
         unknowns=7, energy=EnergyReport(work_j=1e-3, drift=0.01), error_estimate=ErrorEstimate(0.02, 3.0), warnings=("thin",),
     )  # fmt: skip
     for report in (whole, SolveReport(symmetry=()), SolveReport(symmetry="axisymmetric", steps_halved=0)):
