@@ -66,7 +66,7 @@ def draw_sheet(path: Path, scene: Scene, deformation: Deformation, frames: list[
     draw_force(place(5.1, below, 2.6, high), deformation)
     draw_section(place(8.75, below, 3.3, high), scene, deformation)
     draw_meshes(place(12.4, below, 3.3, high), scene, deformation)
-    figure.savefig(path, format="png")
+    figure.savefig(path, format="png", pil_kwargs={"compress_level": 1})  # a fifth larger, 0.4 s sooner
 
 
 class _Inches:
