@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shutil
@@ -12,6 +13,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -125,8 +127,11 @@ def test_other_light_is_drawn_at_rest(page: LivePage, monkeypatch: pytest.Monkey
     assert page.refresh() and (page._image.image == page.frame.image).all()
 
 
-def test_a_recording_is_walked_again(page: LivePage, tmp_path: Path) -> None:
-    """By `press.path_csv`, to the same force: places are written to 1e-6 mm, and times count only for the order."""
+def test_a_recording_is_walked_again(page: LivePage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By `press.path_csv`, to the same force: places are written to 1e-6 mm."""
+    # States equally spaced in time lie between moves: how long these took is where friction looks, which is worth 0.1 % of the force.
+    start, ticks = time.monotonic(), itertools.count(1)
+    monkeypatch.setattr(live_page, "time", SimpleNamespace(**vars(time) | {"monotonic": lambda: start + 0.1 * next(ticks)}))
     turned = (np.cos(0.05), 0.0, np.sin(0.05), 0.0)
     for x, z in ((0.0, 0.2), (0.0, -0.1), (0.0, -0.4), (0.1, -0.5)):
         page.handle.position, page.handle.wxyz = (x, 0.0, z), turned
