@@ -1,4 +1,4 @@
-"""What becomes of presses without one of the tries (`fem.strategy.ways`), or with a tuned constant of `fem/` halved and doubled?
+"""What becomes of presses without one of the tries (`fem.strategy.WAYS`), or with a tuned constant of `fem/` halved and doubled?
 
     python docs/studies/ablation.py --tries --workers 44 --out tries.jsonl
     python docs/studies/ablation.py --set quasistatic.SOON=15 --set quasistatic.SOON=60 --workers 44 --out constants.jsonl
@@ -133,7 +133,7 @@ def _hard_cases() -> dict[str, Layer]:
 
 @contextmanager
 def changed(setting: str) -> Iterator[None]:
-    """With "module.NAME=value" of `gelsim.fem`, wherever that was imported to, or "without try N" of 2 to 4."""
+    """With "module.NAME=value" of `gelsim.fem`, wherever that was imported to, or "without try N" of 2 and 3."""
     if setting == AS_IT_IS:
         yield
         return
@@ -196,7 +196,7 @@ def all_tries(name: str, folder: Path) -> list[dict[str, Any]]:
     """Rows of one press: as it is, and where it has more than one try without each."""
     rows = [measured(name, AS_IT_IS, folder)]
     if not as_asked(rows[0]) or rows[0]["tried"] > 1:
-        rows += [measured(name, f"without try {number}", folder) for number in (2, 3, 4)]
+        rows += [measured(name, f"without try {number}", folder) for number in (2, 3)]
     return rows
 
 
@@ -237,7 +237,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
             "iterations": more.get("newton_iterations", ""), "seconds": more.get("cpu_s", ""),
         })  # fmt: skip
     base = [row for row in rows if row["setting"] == AS_IT_IS]
-    tries = {number: sum(as_asked(row) and row["tried"] == number for row in base) for number in range(1, 5)}
+    tries = {number: sum(as_asked(row) and row["tried"] == number for row in base) for number in range(1, 4)}
     head = f"As it is {sum(map(as_asked, base))} of {len(base)} presses are solved as asked, by try: {tries}; others: " + "; ".join(
         f"{row['press']} ({row['status']} {row.get('message', '')})" for row in base if not as_asked(row)
     )

@@ -195,25 +195,25 @@ class Newton:
         have none. With `whole` it ends where its first step, taken whole, would turn an element inside out.
         """
         before = self.system.factorisations
-        status, iterations, residual = self._iterate(reach, tolerance or self.options.tolerance, solve, whole)
+        status, iterations, residual, snapped = self._iterate(reach, tolerance or self.options.tolerance, solve, whole)
         size = residual.size
-        return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before, self._snapped)
+        return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before, snapped)
 
-    def _iterate(self, reach: float, goal: float, solve: bool, whole: bool) -> tuple[SolveStatus, int, Residual]:
-        """Newton's iterations; why they ended, how many there were, and where."""
+    def _iterate(self, reach: float, goal: float, solve: bool, whole: bool) -> tuple[SolveStatus, int, Residual, bool]:
+        """Newton's iterations; why they ended, how many there were, where, and whether some led down from a saddle."""
         solids, contact = self.solids, self.contact
         residual = self.residual(reach)
-        before, iteration, down, self._snapped = np.inf, 0, 0, False
+        before, iteration, down = np.inf, 0, 0
         sizes: list[float] = []
         while True:
             size = residual.size
             sizes.append(size)
             if not np.isfinite(residual.equations).all():
-                return SolveStatus.NONFINITE, iteration, residual
+                return SolveStatus.NONFINITE, iteration, residual, down > 0
             if iteration > 0 and size <= goal:
-                return SolveStatus.CONVERGED, iteration, residual
+                return SolveStatus.CONVERGED, iteration, residual, down > 0
             if not solve or spent(iteration, down, self.options) or stalls(sizes, self.options):
-                return SolveStatus.MAX_ITERATIONS, iteration, residual
+                return SolveStatus.MAX_ITERATIONS, iteration, residual, down > 0
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
             if not chord:
@@ -223,11 +223,11 @@ class Newton:
             exact = iteration >= self.options.exact_after
             step = self.system.step(-residual.equations, coupling, exact, contact.turns_within if near else np.inf)
             if not np.isfinite(step).all():
-                return SolveStatus.NONFINITE, iteration, residual
+                return SolveStatus.NONFINITE, iteration, residual, down > 0
             downhill = self.system.downhill and near
             if downhill:
-                self._snapped, down, sizes = True, down + 1, [np.inf] * len(sizes)
+                down, sizes = down + 1, [np.inf] * len(sizes)
             trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
-                return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual
+                return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual, down > 0
             residual, iteration = trial, iteration + 1

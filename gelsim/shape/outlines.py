@@ -100,7 +100,7 @@ def _fault(segments: Profile, within: float, convex: bool) -> str:
 
 
 def rounded(segments: Profile, radius: float) -> Profile:
-    """A rigid object's profile with the corners between its lines, and its tip, rounded as its distance field's are; its apex at z = 0.
+    """A rigid object's profile, its tip and the corners between its lines rounded by arcs; its apex at z = 0. (Fields blur: `fem.field`.)
 
     Args:
         radius: [m]. No arc reaches beyond the middle of a line.
@@ -112,7 +112,7 @@ def rounded(segments: Profile, radius: float) -> Profile:
         u, v = before.way(1), after.way(0)
         turn = float(np.arctan2(u[0] * v[1] - u[1] * v[0], u @ v))
         if before.radius or after.radius or turn < 1e-6 or radius == 0.0:
-            found += [after] if number else [tip]
+            found.append(after)
             continue
         shortest = min(np.linalg.norm(np.subtract(line.end, line.start)) for line in (before, after))
         reach = min(radius * np.tan(turn / 2), shortest / 2)
