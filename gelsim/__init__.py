@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gelsim.data.episodes import load_dataset
     from gelsim.errors import GelsimError, SceneError, SolveError
+    from gelsim.live.batch import BatchFrame, LiveBatch
     from gelsim.live.sensor import LiveFrame, LiveSensor
     from gelsim.pipeline.poses import press_many
     from gelsim.pipeline.stages import press, press_sensitivity, render, simulate
@@ -23,10 +24,12 @@ if TYPE_CHECKING:
     from gelsim.scene.layers import load_scene
 
 _HOMES = {
+    "BatchFrame": "gelsim.live.batch",
     "Deformation": "gelsim.results",
     "Episode": "gelsim.results",
     "Frame": "gelsim.results",
     "GelsimError": "gelsim.errors",
+    "LiveBatch": "gelsim.live.batch",
     "LiveFrame": "gelsim.live.sensor",
     "LiveSensor": "gelsim.live.sensor",
     "Membrane": "gelsim.results",
@@ -44,10 +47,12 @@ _HOMES = {
 }
 
 __all__ = [
+    "BatchFrame",
     "Deformation",
     "Episode",
     "Frame",
     "GelsimError",
+    "LiveBatch",
     "LiveFrame",
     "LiveSensor",
     "Membrane",

@@ -33,20 +33,33 @@ RIM = 4
 
 
 class Drawer:
-    """Pictures of one sensor, made ready once."""
+    """Pictures of a sensor, or of some of a kind at once, made ready once."""
 
-    def __init__(self, scene: Scene, layer: Layer, device: str) -> None:
+    def __init__(self, scene: Scene, layer: Layer, device: str, sensors: int = 1) -> None:
         """Measures the sensor's light, if it is not kept."""
         variant = choose_variant(device)
+        self._scene = scene
         self._renderer = BakedRenderer(scene, bake.light_field(scene, variant), variant, cell=INDIRECT_CELL)
         arrays = choose_arrays(variant)
-        self._surface = Surface(arrays, scene.gel, layer)
+        self._surface = Surface(arrays, scene.gel, layer, sensors)
         self._renderer.upload([self._surface.still])
-        self._keys = arrays.words(frame_keys(scene, [0]))
+        self._keys = arrays.words(frame_keys(scene, list(range(sensors))))
 
     def draw(self, field: NDArray[np.float32]) -> NDArray[np.uint8]:
         """8-bit sRGB, (H, W, 3), of the layer's displacement [mm], (3, rows, columns)."""
-        return self._renderer.fetch(self._renderer.launch(self._surface.under(field), self._keys))[1]
+        return self._renderer.fetch(self._launched(field))[1]
+
+    def many(self, fields: Any) -> Any:
+        """8-bit sRGB of each sensor, (sensors, H, W, 3), of displacements [mm], (sensors, 3, rows, columns): PyTorch's, on the device."""
+        import torch
+
+        width, height = self._scene.render.resolution
+        words = self._launched(fields.contiguous())[1]
+        packed = words.torch() if fields.is_cuda else torch.from_numpy(np.asarray(words).copy())
+        return packed.view(torch.uint8)[: 3 * len(fields) * height * width].view(len(fields), height, width, 3)
+
+    def _launched(self, field: Any) -> tuple[Values, Values | None]:
+        return self._renderer.launch(self._surface.under(field), self._keys)
 
 
 @dataclass(frozen=True)
@@ -60,16 +73,18 @@ class Sizes:
     first: tuple[float, float]
     """Middle of the layer's first cell [mm]."""
     cell: tuple[float, float]
+    sensors: int
 
 
 class Surface:
     """A gel's coated surface on the backend."""
 
-    def __init__(self, arrays: Arrays, gel: Gel, layer: Layer) -> None:
+    def __init__(self, arrays: Arrays, gel: Gel, layer: Layer, sensors: int = 1) -> None:
         grid = Grid(gel, gel_layer.CELL_MM * MM)  # a finer one would show the layer's cells as facets
         self.still = grid.membrane(np.zeros((len(grid.places), 3)), np.zeros((0, 3)))
         """At rest, without markers."""
-        sizes = Sizes(*material_grid(self.still), (layer.shape[1], layer.shape[0]), (float(layer.x[0]), float(layer.y[0])), layer.cell)
+        first = float(layer.x[0]), float(layer.y[0])
+        sizes = Sizes(*material_grid(self.still), (layer.shape[1], layer.shape[0]), first, layer.cell, sensors)
         x, y = (
             first + cell * np.arange(-RIM, count + RIM, dtype=np.float64)
             for first, cell, count in zip(sizes.first, sizes.cell, sizes.layer, strict=True)
@@ -81,26 +96,30 @@ class Surface:
         self._floats = arrays.floats
         self._moved = arrays.compiled(lambda rest, nodes, field: moved(arrays, sizes, rest, nodes, field))
 
-    def under(self, field: NDArray[np.float32]) -> tuple[Values, Values]:
-        """What `BakedRenderer.upload` gives of a membrane, under the layer's displacement [mm], (3, rows, columns)."""
+    def under(self, field: Any) -> tuple[Values, Values]:
+        """What `BakedRenderer.upload` gives of membranes, under the layer's displacement [mm], (sensors, 3, rows, columns)."""
         return self._moved(self._rest, self._nodes, self._floats(field))
 
 
 def moved(ar: Arrays, st: Sizes, rest: Values, nodes: Values, field: Values) -> tuple[Values, Values]:
-    """Places [mm] in fours and normals in pairs of a material grid's nodes.
+    """Places [mm] in fours and normals in pairs of a material grid's nodes, sensor after sensor.
 
     Args:
         rest: Height of the gel at the layer's cells, and RIM beyond [mm].
         nodes: Places of the material grid at rest [mm], in fours; of z what `rest` between its places is less.
-        field: Displacement at the layer's cells [mm], three components one after the other.
+        field: Displacement at the layer's cells [mm], three components one after the other, sensor after sensor.
     """
     cells = st.layer[0] * st.layer[1]
-    lane = ar.range(st.columns * st.rows)
-    x, y, z, nothing = ar.packet(nodes, lane, 4)
+    count = st.columns * st.rows
+    lane = ar.range(count * st.sensors)
+    sensor = lane // count
+    node = lane - sensor * count
+    x, y, z, nothing = ar.packet(nodes, node, 4)
 
     def corners(x: Values, y: Values, rim: int) -> list[tuple[Values, Values]]:
         column, row = (x - st.first[0]) * (1 / st.cell[0]) + rim, (y - st.first[1]) * (1 / st.cell[1]) + rim
-        return grid_corners(ar, column, row, st.layer[0] + 2 * rim, st.layer[1] + 2 * rim, lane * 0)
+        first = lane * 0 if rim else sensor * (3 * cells)  # there is one rest
+        return grid_corners(ar, column, row, st.layer[0] + 2 * rim, st.layer[1] + 2 * rim, first)
 
     def around(x: Values, y: Values) -> list[tuple[Values, Values]]:
         """Index and weight of the sixteen cells about a place, as `layer.smooth_between` reads them."""
@@ -111,7 +130,7 @@ def moved(ar: Arrays, st: Sizes, rest: Values, nodes: Values, field: Values) -> 
             steps = [ar.minimum(ar.maximum(before + i, 0), count - 1) for i in range(-1, 3)]
             found.append(list(zip(steps, gel_layer.keys(place - ar.real(before)), strict=True)))
         columns, rows = found
-        return [(lane * 0 + row * st.layer[0] + column, down * right) for row, down in rows for column, right in columns]
+        return [(sensor * (3 * cells) + row * st.layer[0] + column, down * right) for row, down in rows for column, right in columns]
 
     def read(source: Values, at: list[tuple[Values, Values]], part: int = 0) -> Values:
         return sum(ar.gather(source, index + part * cells) * weight for index, weight in at)
@@ -123,8 +142,8 @@ def moved(ar: Arrays, st: Sizes, rest: Values, nodes: Values, field: Values) -> 
     z = z + read(field, around(u, v), 2) + read(rest, corners(u, v, RIM))
     places = ar.stored(ar.interleave([u, v, z, nothing]))
 
-    row = lane // st.columns
-    column = lane - row * st.columns
+    row = node // st.columns
+    column = node - row * st.columns
 
     def along(place: Values, stride: int, count: int) -> list[Any]:
         """Twice the derivative by index: central, of second order at the ends too."""

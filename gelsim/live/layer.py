@@ -165,6 +165,11 @@ class Layer:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
         if node in self._spaces:
             return self._spaces[node]
+        moved: Any = fft.irfft2(self.spectrum(node), self.shape)
+        return keep(self._spaces, node, moved, KEPT)
+
+    def spectrum(self, node: int) -> NDArray[np.complex64]:
+        """The same over the waves exp(i k·x) of the whole grid, (6, rows, columns / 2 + 1)."""
         shear, nu, thickness = self.material.shear_kpa, self.material.poissons_ratio, (1 + NODES) ** node
         kx = 2 * np.pi * fft.rfftfreq(self.shape[1], self.cell[0])[None, :]
         ky = 2 * np.pi * fft.fftfreq(self.shape[0], self.cell[1])[:, None]
@@ -178,9 +183,7 @@ class Layer:
         odd = (np.arange(k.shape[1])[None, :] != self.shape[1] // 2) & (np.arange(k.shape[0])[:, None] != self.shape[0] // 2)
         xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
         xx[0, 0] = yy[0, 0] = thickness / shear
-        answers = np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd])
-        moved: Any = fft.irfft2(answers.astype(np.complex64), self.shape)
-        return keep(self._spaces, node, moved, KEPT)
+        return np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd]).astype(np.complex64)
 
 
 def keep(table: dict[Any, T], key: Any, value: T, most: int) -> T:
@@ -352,11 +355,12 @@ class Window:
         skew: Any = height * (modulus * (xy + yx))
         along: Any = np.stack([height * (2 * modulus * xx + mean), skew, height * (2 * modulus * yy + mean)])
         by_x, by_y = self.slope(along)
-        return np.float32(BENT) * (pressure * self.slope(height) + by_x[:2] + by_y[1:]), self.carried(moved, height)
+        return np.float32(BENT) * (pressure * self.slope(height) + by_x[:2] + by_y[1:]), np.float32(-BENT) * height * self.slope(moved[2])
 
-    def carried(self, moved: Values, height: Values) -> Values:
-        """Of `bending`, the motion, by the face's height over where the pressure's centre was at rest [mm]."""
-        return np.float32(-BENT) * height * self.slope(moved[2])
+    def bent(self, pressure: Values, moved: Values, rest: Values) -> Values:
+        """The motion along the face of second order [mm], (2, rows, columns): of `bending`, both."""
+        along, carried = self.bending(pressure, moved, rest)
+        return self.dragged(along) + carried
 
     def led(self, pressure: Values, moved: Values, rest: Values) -> Values:
         """How much higher the face is over a place [mm] when its height is that of the point which has come there: -u_t · ∇height.

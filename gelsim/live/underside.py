@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.fem.field import MARGIN_MM, kept_field, spacing
+from gelsim.fem.field import MARGIN_MM, DistanceField, kept_field, spacing
 from gelsim.live.layer import between, keep
 from gelsim.scene.definition import Body
 from gelsim.shape import shapes
@@ -44,6 +44,23 @@ CLOSE_MM = 1e-4
 """Motion of places by one more correction at which they end."""
 
 
+def _corners(body: Body) -> Array:
+    """Points whose hull is the object's [mm], (M, 3), in its frame."""
+    return shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
+
+
+def whole_field(body: Body) -> DistanceField:
+    """The signed distance of all of an object, of at most MOST_SAMPLES samples.
+
+    Raises:
+        SceneError: The shape makes no solid.
+    """
+    vertices = _corners(body)
+    low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
+    step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
+    return kept_field(body, file_stamp(body), tuple(low), tuple(high), step)
+
+
 class Underside:
     """Of one rigid object."""
 
@@ -53,11 +70,8 @@ class Underside:
         Raises:
             SceneError: The shape makes no solid.
         """
-        vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
-        low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
-        step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
-        self._field = kept_field(body, file_stamp(body), tuple(low), tuple(high), step)
-        self._corners = vertices
+        self._corners = _corners(body)
+        self._field = whole_field(body)
         self._map: Map | None = None
         self._maps: dict[bytes, Map] = {}
 

@@ -119,6 +119,8 @@ class DrJitArrays:
         """Perhaps the very memory of `values`, which may not be written to afterwards."""
         if self._dr.is_array_v(values):  # a Mitsuba variant's
             return self._float(self._dr.detach(values))
+        if getattr(values, "is_cuda", False):  # PyTorch's, as it lies
+            return self._float(values.reshape(-1))
         return self._float(_aligned(np.asarray(values, np.float32)))
 
     def numbers(self, values: Any) -> list[Values]:

@@ -1,0 +1,445 @@
+"""`gelsim.LiveBatch`: many live sensors of one kind at once, each with the same rigid objects at poses of its own; on a GPU or the CPU.
+
+    batch = gelsim.LiveBatch(gelsim.load_scene("scenes/press_ball_rigid.toml"), 1024, device="cuda")
+    frame = batch.step(poses, dt=0.01)     # (1024, 1, 7), NumPy or torch; what comes out stays on the device
+
+Each sensor answers as `gelsim.LiveSensor` would, and as if the others were not there (`gelsim.live.batch_layer`, `batch_underside`). Of
+several objects the gel meets over each cell the one that is lowest there.
+
+Left out, beside what a live sensor leaves out: a patch for implicit steps (`LiveSensor.patch`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from gelsim.errors import RenderError, SceneError
+from gelsim.fem import quiet_warp
+from gelsim.fem.friction import slip_bound
+from gelsim.live import layer as single
+from gelsim.live.layer import Elastic
+from gelsim.live.sensor import DEEPEST, MOST_TRAVEL_MM, RISE, STICK, STUCK, check_scene
+from gelsim.live.underside import whole_field
+from gelsim.membrane.markers import marker_layout
+from gelsim.optics.camera import project
+from gelsim.scene import materials
+from gelsim.scene.definition import Body, Scene
+from gelsim.shape.shapes import gel_height
+from gelsim.units import MM, MM_PER_M
+
+try:
+    import torch
+    from torch import Tensor
+except ImportError as error:
+    raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
+
+from gelsim.live.batch_layer import Layers, bounded, read
+from gelsim.live.batch_underside import FAR_MM, undersides
+
+if TYPE_CHECKING:
+    from gelsim.live.drawing import Drawer
+
+LEVELS = 3
+"""Heights at which the camera's projection is known; between them a parabola."""
+
+
+@dataclass(frozen=True, eq=False)
+class BatchFrame:
+    """What n sensors answer, as tensors on the device. The grid is `LiveBatch.x` and `y`: (rows, columns) of places in space."""
+
+    image: Tensor | None
+    """8-bit sRGB, shape (n, H, W, 3); None without pictures."""
+    force: Tensor
+    """On each gel by each object [N], shape (n, objects, 3); pressing gives negative z."""
+    torque: Tensor
+    """Of these forces about the origin of the gel's frame [N m], likewise."""
+    contact: Tensor
+    """Number of the object that touches a cell of the gel, -1 where none does: int8, shape (n, rows, columns)."""
+    _batch: LiveBatch
+    _state: State
+
+    @cached_property
+    def height(self) -> Tensor:
+        """z of the coated surfaces over the grid's places [m], shape (n, rows, columns); found when first looked at."""
+        return (self._batch._rest + self._batch._field(self._state)[:, 2]) * MM
+
+    @cached_property
+    def marker_pixels(self) -> Tensor:
+        """(column, row) of the marker centres [px], shape (n, K, 2); NaN outside the picture; found when first looked at."""
+        return self._batch._marker_pixels(self._state)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Of n gels: as `gelsim.live.sensor.State`, over the whole grid. Fields that hold one value a sensor have n values."""
+
+    thickness: Tensor
+    """[mm]"""
+    pressure: Tensor
+    shear: Tensor
+    moved: Tensor
+    dragged: Tensor
+    anchor: Tensor
+    owner: Tensor
+    """Number of the object that is lowest over a cell, int8."""
+
+    def of(self, which: Tensor) -> State:
+        """Of some sensors."""
+        return State(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def put(self, which: Tensor, other: State) -> State:
+        """With some sensors' replaced."""
+        return State(*(getattr(self, f.name).index_copy(0, which, getattr(other, f.name)) for f in fields(self)))
+
+
+class LiveBatch:
+    """n gels with their cameras, and rigid objects that move in the frame of each."""
+
+    def __init__(
+        self, scene: Scene, sensors: int, objects: Sequence[Body] | None = None, *, image: bool = True, device: str = "auto"
+    ) -> None:
+        """Makes the tables: seconds, and with pictures a minute once for each kind of sensor, whose light is then measured and kept.
+
+        Args:
+            scene: Its gel, contact, camera, lights, coating and markers count; its press does not.
+            sensors: n.
+            objects: Rigid; without them the scene's own.
+            image: Draw pictures each step.
+            device: "auto" | "cpu" | "cuda".
+        Raises:
+            SceneError: An object is not rigid, or the gel is viscous.
+            RenderError: CUDA was asked for and is not there.
+        """
+        if sensors < 1:
+            raise SceneError(f"sensors = {sensors}: a batch has 1 or more")
+        self.objects = tuple(objects if objects is not None else (scene.object,))
+        for body in self.objects:
+            check_scene(replace(scene, object=body), "a live sensor", "gelsim.press")
+        if device == "cuda" and not torch.cuda.is_available():
+            raise RenderError("device = 'cuda': PyTorch finds no GPU here; use device = 'cpu' or 'auto'")
+        self.device = "cuda:0" if device == "cuda" or (device == "auto" and torch.cuda.is_available()) else "cpu"
+        quiet_warp()
+        self._scene = scene.replace(render=replace(scene.render, mode="baked"))
+        self._count = sensors
+        gel, material = scene.gel, materials.gel_material(scene)
+        nu = material.poissons_ratio
+        self._layer = single.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+        self.x, self.y = self._layer.x * MM, self._layer.y * MM
+        """Of the grid's columns and rows [m]."""
+        places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
+        rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
+        self._rest = self._tensor(rest)
+        thinnest = max(gel.thickness_mm * (1.0 - single.THINNING * DEEPEST) + float(rest.min()), 0.05 * gel.thickness_mm)
+        self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
+        self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
+        self._thinning = single.THINNING if self._friction else 0.0
+        self._ceiling = self._wp(self._rest + RISE * DEEPEST * gel.thickness_mm)
+        self._fields = [whole_field(body).grid(self.device) for body in self.objects]
+        self._centres = torch.as_tensor(marker_layout(scene).centres * MM_PER_M, device=self.device)
+        self._draws = image
+        if image:
+            _ = self._drawer  # measures the light now
+        self.reset()
+
+    def _tensor(self, values: Any) -> Tensor:
+        return torch.as_tensor(np.asarray(values, np.float32), device=self.device)
+
+    @staticmethod
+    def _wp(values: Tensor, kind: Any = wp.float32) -> wp.array:
+        return wp.from_torch(values.contiguous(), dtype=kind)
+
+    def reset(self, which: Any = None) -> None:
+        """Forgets objects and slip of some sensors (numbers, or a mask (n,)); of all without."""
+        n, device, (rows, columns) = self._count, self.device, self._layer.shape
+        if which is None:
+            nothing = torch.zeros((n, 3, rows, columns), device=device)
+            thickness = torch.full((n,), float(self._scene.gel.thickness_mm), device=device, dtype=torch.float64)
+            owner = torch.full((n, rows, columns), -1, dtype=torch.int8, device=device)
+            self._state = State(thickness, nothing[:, 0], nothing[:, :2], nothing, nothing[:, :2], nothing[:, :2], owner)
+            self._turn = torch.eye(3, dtype=torch.float64, device=device).repeat(n, len(self.objects), 1, 1)
+            self._shift = torch.zeros((n, len(self.objects), 3), dtype=torch.float64, device=device)
+            self._clear = torch.zeros((n, len(self.objects)), device=device)
+            self._known = torch.zeros(n, dtype=torch.bool, device=device)
+            return
+        mask = torch.zeros(n, dtype=torch.bool, device=device)
+        mask[torch.as_tensor(which, device=device)] = True
+        self._release(mask)
+        self._known &= ~mask
+        self._clear = torch.where(mask[:, None], 0.0, self._clear)
+
+    def _release(self, mask: Tensor) -> None:
+        state = self._state
+        values = {f.name: getattr(state, f.name) for f in fields(state)}
+        empty = {"thickness": float(self._scene.gel.thickness_mm), "owner": -1}
+        kept = {k: torch.where(mask.view(-1, *(1,) * (v.ndim - 1)), empty.get(k, 0), v).to(v.dtype) for k, v in values.items()}
+        self._state = State(**kept)
+
+    def step(self, poses: Any, dt: float) -> BatchFrame:
+        """Moves the objects to poses and says what the sensors see and feel there; `LiveSensor.step` has the rules.
+
+        Args:
+            poses: x, y, z of each object's origin [m] and its turn, a quaternion w, x, y, z, in the frame of its gel, (n, objects, 7), or
+                (n, 7) of one object: NumPy or torch, on any device.
+            dt: Time since the last poses [s]. The gel is elastic: it must be positive, and changes nothing.
+        Raises:
+            SceneError: Poses are no poses or dt no time, or an object is deeper than DEEPEST of the gel's thickness.
+        """
+        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
+            raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
+        turn, shift = self._poses(poses)
+        heights, owner = self._seen(turn, shift)
+        self._check(heights)
+        way = self._way(turn, shift)
+        pieces = (way / MOST_TRAVEL_MM).ceil().clamp(min=1.0)
+        most = int(pieces.max()) if self._friction else 1
+        begin = self._turn, self._shift
+        for piece in range(1, most):
+            part = (piece / pieces).double()[:, None]
+            going = piece < pieces
+            there = _between(*begin, turn, shift, part)
+            self._move(going, *there, *self._seen(*there))
+        self._move(torch.ones_like(self._known), turn, shift, heights, owner)
+        return self._frame()
+
+    def image(self) -> Tensor:
+        """Pictures of the present state, 8-bit sRGB, (n, H, W, 3)."""
+        return self._drawer.many(self._field(self._state))
+
+    @cached_property
+    def _drawer(self) -> Drawer:
+        from gelsim.live.drawing import Drawer  # and Mitsuba
+
+        return Drawer(self._scene, self._layer, "cuda" if self.device != "cpu" else "cpu", self._count)
+
+    def _poses(self, poses: Any) -> tuple[Tensor, Tensor]:
+        """Turns (n, objects, 3, 3) and shifts [mm] (n, objects, 3)."""
+        try:
+            values = torch.as_tensor(poses, dtype=torch.float64, device=self.device)
+        except (TypeError, ValueError, RuntimeError):
+            values = torch.zeros(0)
+        if values.ndim == 2 and len(self.objects) == 1:
+            values = values[:, None]
+        wanted = (self._count, len(self.objects), 7)
+        if values.shape != wanted:
+            raise SceneError(f"poses have the shape {tuple(values.shape)}; allowed is {wanted}: x, y, z [m] and a quaternion w, x, y, z")
+        length = values[..., 3:].norm(dim=-1)
+        sound = torch.isfinite(values).all(dim=-1) & ((length - 1).abs() <= 1e-3) & (values[..., :3].abs().amax(dim=-1) <= 1.0)
+        if not bool(sound.all()):
+            sensor, body = (int(i) for i in torch.nonzero(~sound)[0])
+            raise SceneError(
+                f"poses[{sensor}, {body}] = {values[sensor, body].tolist()}: allowed are finite metres within 1 m in the gel's frame, and "
+                "a quaternion w, x, y, z of length 1 (no turn is 1, 0, 0, 0)"
+            )
+        w, x, y, z = (values[..., 3:] / length[..., None]).unbind(-1)
+        turn = torch.stack([
+            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        ], -1).unflatten(-1, (3, 3))  # fmt: skip
+        return turn, values[..., :3] * MM_PER_M
+
+    def _seen(self, turn: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+        """Heights of the objects [mm] over the grid, (n, objects, rows, columns), and which of them is the lowest, (n, rows, columns)."""
+        found = torch.empty((len(self.objects), self._count, *self._layer.shape), device=self.device)
+        x, y = self._wp(self._layers.x[0]), self._wp(self._layers.y[:, 0])
+        stream = wp.stream_from_torch(torch.cuda.current_stream()) if self.device != "cpu" else None
+        for body, field in enumerate(self._fields):
+            poses = self._wp(turn[:, body], wp.mat33d), self._wp(shift[:, body], wp.vec3d)
+            inputs = [field, *poses, x, y, self._ceiling, self._wp(found[body])]
+            wp.launch(undersides, (self._count, *self._layer.shape), inputs, device=self.device, stream=stream)
+        heights = found.transpose(0, 1)
+        return heights, heights.argmin(dim=1).to(torch.int8)
+
+    def _check(self, heights: Tensor) -> None:
+        overlap = -(heights.amin(dim=1) - self._rest).amin(dim=(1, 2))
+        worst = int(overlap.argmax())
+        most = DEEPEST * self._scene.gel.thickness_mm
+        if float(overlap[worst]) > most:
+            raise SceneError(
+                f"poses[{worst}]: an object overlaps the gel by {float(overlap[worst]):.2f} mm; allowed is {DEEPEST:g} of "
+                f"gel.thickness_mm = {self._scene.gel.thickness_mm:g} mm, so {most:.2f} mm; press less deep, or use gelsim.press"
+            )
+
+    def _way(self, turn: Tensor, shift: Tensor) -> Tensor:
+        """The farthest that a cell in contact goes with its object [mm], (n,)."""
+        state = self._state
+        points = torch.stack([self._layers.x, self._layers.y, 0 * self._layers.x])
+        there = points + torch.zeros_like(state.moved)
+        there[:, 2] = self._rest + state.moved[:, 2]
+        went = self._carried(there, state.owner, (self._turn, self._shift), (turn, shift)) - there
+        return (went.norm(dim=1) * (state.pressure > 0)).amax(dim=(1, 2))
+
+    @staticmethod
+    def _carried(points: Tensor, owner: Tensor, one: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Tensor:
+        """Where points (n, 3, rows, columns) [mm] go that are on their objects as those go from one pose to another."""
+        turn = other[0] @ one[0].transpose(-1, -2)
+        shift = other[1] - (turn @ one[1][..., None])[..., 0]
+        found = points
+        for body in range(turn.shape[1]):
+            moved = torch.einsum("nij,njrc->nirc", turn[:, body].float(), points) + shift[:, body].float()[:, :, None, None]
+            found = moved if turn.shape[1] == 1 else torch.where((owner == body)[:, None], moved, found)
+        return found
+
+    def _move(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor) -> None:
+        """One increment: pressure, shear and thickness that go with each other at the new poses, of the sensors that go on."""
+        each = (heights - self._rest).amin(dim=(2, 3))
+        height = heights.amin(dim=1)
+        room = height - self._rest
+        lowest = each.amin(dim=1)
+        touching = going & (lowest < 0)
+        self._release(going & ~touching)
+        which = torch.nonzero(touching)[:, 0]
+        if len(which):
+            state = self._state.of(which)
+            if self._friction:
+                over = torch.where(height[which] < FAR_MM / 2, height[which], 0.0)
+                here = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, over), 1)
+                one, other = (turn[which], shift[which]), (self._turn[which], self._shift[which])
+                drift = (here - self._carried(here, owner[which], one, other))[:, :2]
+                # Of a way that began in the air, the part from first touch on.
+                share = torch.where(each < 0, each / (each - self._clear).clamp(max=-1e-9), 0.0)[which]
+                by_cell = torch.gather(share, 1, owner[which].long().flatten(1)).view_as(here[:, 0])
+                known = self._known[which][:, None, None, None]
+                state = replace(state, anchor=state.anchor + torch.where(known, drift * by_cell[:, None], 0.0))
+            self._state = self._state.put(which, self._solved(state, room[which], owner[which]))
+        at = going[:, None]
+        self._turn, self._shift = torch.where(at[..., None, None], turn, self._turn), torch.where(at[..., None], shift, self._shift)
+        self._clear = torch.where(at, each.clamp(min=0.0), self._clear)
+        self._known = self._known | going
+
+    def _solved(self, state: State, room: Tensor, owner: Tensor) -> State:
+        """As `LiveSensor._move` alternates. Sensors leave as they are done."""
+        layers, rest, gel = self._layers, self._rest, self._scene.gel
+        kept = replace(state, owner=owner)
+        place = torch.arange(len(room), device=room.device)
+        p, q, moved, dragged, anchor, thickness = state.pressure, state.shear, state.moved, state.dragged, state.anchor, state.thickness
+        bent, turned = torch.zeros_like(q), torch.zeros_like(room[:, :1, :1])
+        for round in range(single.ROUNDS):
+            before = p
+            ways, softest = layers.ways(thickness), layers.stiffness(thickness)
+            # Pressure is found for the room that shear leaves.
+            lift = moved[:, 2] + layers.sunk(ways, p)
+            p, gap = layers.pressed(ways, room - lift, p, softest, -room.amin(dim=(1, 2), keepdim=True))
+            total = p.sum(dim=(1, 2)).clamp(min=1e-30).double()
+            thinner = self._thinning * (gap - room)
+            now = gel.thickness_mm + (p * (rest - thinner)).sum(dim=(1, 2)).double() / total
+            same = (now / thickness - 1).abs() < single.SETTLED
+            settled = single.SETTLED * p.flatten(1).norm(dim=1)
+            done = same & ((p - before).flatten(1).norm(dim=1) < settled) & (turned.flatten() < settled) & (round > 0 or not self._friction)
+            if bool(done.any()):
+                found = State(thickness, p, q, moved, dragged, anchor, owner).of(done)
+                kept = kept.put(place[done], replace(found, owner=owner[done]))
+                left = ~done
+                if not bool(left.any()):
+                    break
+                place, owner, room = place[left], owner[left], room[left]
+                p, q, moved, dragged, anchor, thickness = (v[left] for v in (p, q, moved, dragged, anchor, thickness))
+                bent, now, same = bent[left], now[left], same[left]
+            thickness = torch.where(same, thickness, now)
+            ways, softest = layers.ways(thickness), layers.stiffness(thickness)
+            bound = slip_bound(self._friction, p)
+            held = bounded(q, bound[:, None])
+            moved = layers.moved(ways, p, held)
+            if self._friction:
+                along, carried = layers.bending(p, moved, rest)
+                last, bent = bent, layers.dragged(ways, along) + carried
+                turned = softest * ((bent - last) * (p > 0)[:, None]).flatten(1).norm(dim=1)[:, None, None]
+                slip = moved[:, :2] + bent - anchor
+                away = ((slip - dragged) * (p > 0)[:, None]).flatten(1).norm(dim=1)[:, None, None]
+                q, free = layers.sheared(ways, slip, bound, held, away, softest)
+                dragged = dragged + free - slip
+                moved = torch.cat([free + anchor - bent, moved[:, 2:] + layers.lifted(ways, q - held)[:, None]], 1)
+        else:
+            kept = kept.put(place, State(thickness, p, q, moved, dragged, anchor, owner))
+        return self._anchored(kept)
+
+    def _anchored(self, state: State) -> State:
+        """With the displacement of the tractions found, and the anchors of what slips moved on."""
+        layers = self._layers
+        ways = layers.ways(state.thickness)
+        moved = layers.moved(ways, state.pressure, state.shear)
+        if not self._friction:
+            return replace(state, moved=moved, anchor=moved[:, :2])
+        stuck = state.shear.square().sum(dim=1) < (STUCK * slip_bound(self._friction, state.pressure)) ** 2
+        along, carried = layers.bending(state.pressure, moved, self._rest)
+        anchor = torch.where(stuck[:, None], state.anchor, moved[:, :2] + layers.dragged(ways, along) + carried)
+        return replace(state, moved=moved, anchor=anchor)
+
+    def _frame(self) -> BatchFrame:
+        layer, state = self._layer, self._state
+        stiffer = torch.ones_like(state.pressure[:, :1, :1])
+        if self._friction:
+            stiffer = self._layers.stiffening(state.thickness, state.pressure, state.moved)
+        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * stiffer  # kPa to N
+        z = self._rest + state.moved[:, 2]
+        tangential = state.shear + state.pressure[:, None] * self._layers.slope(z).transpose(0, 1)
+        traction = torch.cat([tangential, -state.pressure[:, None]], 1).double() * area[:, None]
+        points = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, z), 1).double() * MM
+        moment = torch.linalg.cross(points, traction, dim=1)
+        touching = state.pressure > 0
+        owners = [((state.owner == body) & touching)[:, None] for body in range(len(self.objects))]
+        force, torque = (torch.stack([(what * mine).sum(dim=(2, 3)) for mine in owners], 1) for what in (traction, moment))
+        contact = torch.where(touching, state.owner, -1).to(torch.int8)
+        return BatchFrame(self.image() if self._draws else None, force, torque, contact, self, state)
+
+    def _field(self, state: State) -> Tensor:
+        """As `gelsim.live.sensor.State.field`: displacement over the grid as it is seen [mm], (n, 3, rows, columns)."""
+        layers, rest = self._layers, self._rest
+        ways = layers.ways(state.thickness)
+        along, _ = layers.bending(state.pressure, state.moved, rest)
+        height = layers.height(state.pressure, state.moved, rest)
+        sideways = state.moved[:, :2] + layers.dragged(ways, along) + layers.carried(state.moved, height)
+        z = state.moved[:, 2]
+        if self._friction:
+            led = layers.led(state.pressure, state.moved, rest)
+            z = z + led - layers.sunk(ways, layers.punch(ways, state.pressure > 0, led))
+        return torch.cat([sideways, z[:, None]], 1)
+
+    def _marker_pixels(self, state: State) -> Tensor:
+        field = self._field(state)
+        start = self._centres.expand(self._count, -1, -1)
+        at = start
+        for _ in range(single.LOOKS):  # x = X + u_t(x)
+            at = start + read(field[:, :2], self._layer, at).transpose(1, 2)
+        z = read((self._rest + field[:, 2])[:, None], self._layer, at)[:, 0]
+        pixels, heights = self._projection
+        shares = []
+        for i, one in enumerate(heights):
+            others = [other for j, other in enumerate(heights) if j != i]
+            shares.append(math.prod((z - other) / (one - other) for other in others))
+        seen = read(pixels.expand(self._count, -1, -1, -1), self._layer, at)
+        found = sum(share[..., None] * seen[:, 2 * i : 2 * i + 2].transpose(1, 2) for i, share in enumerate(shares))
+        size = torch.as_tensor(self._scene.render.resolution, device=self.device)
+        inside = ((found >= 0) & (found < size)).all(dim=-1, keepdim=True)
+        return torch.where(inside, found, math.nan)
+
+    @cached_property
+    def _projection(self) -> tuple[Tensor, list[float]]:
+        """Pixels of the grid's places at LEVELS heights, (1, 2 LEVELS, rows, columns), and these heights [mm]."""
+        reach = self._scene.gel.thickness_mm
+        heights = np.linspace(float(self._rest.min()) - DEEPEST * reach, RISE * DEEPEST * reach, LEVELS)
+        x, y = np.meshgrid(self.x, self.y)
+        found = [project(self._scene, np.stack([x, y, 0 * x + z * MM], -1).reshape(-1, 3)).T.reshape(2, *x.shape) for z in heights]
+        return torch.as_tensor(np.concatenate(found), device=self.device)[None], heights.tolist()
+
+
+def _between(turn: Tensor, shift: Tensor, to_turn: Tensor, to_shift: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+    """Poses on the way: straight, and turning evenly (Rodrigues' formula)."""
+    turned = to_turn @ turn.transpose(-1, -2)
+    axis = torch.stack([turned[..., j, i] - turned[..., i, j] for i, j in ((1, 2), (2, 0), (0, 1))], -1)
+    length = axis.norm(dim=-1)
+    angle = part * torch.atan2(length, turned.diagonal(dim1=-2, dim2=-1).sum(-1) - 1.0)
+    unit = axis / length.clamp(min=1e-12)[..., None]
+    x, y, z = unit.unbind(-1)
+    none = torch.zeros_like(x)
+    skew = torch.stack([none, -z, y, z, none, -x, -y, x, none], -1).unflatten(-1, (3, 3))
+    sine, cosine = angle.sin()[..., None, None], angle.cos()[..., None, None]
+    rotation = torch.eye(3, dtype=turn.dtype, device=turn.device) + sine * skew + (1 - cosine) * skew @ skew
+    return rotation @ turn, shift + part[..., None] * (to_shift - shift)

@@ -1,0 +1,230 @@
+"""The baked gel of `gelsim.live.layer` for many sensors at once, in PyTorch: the same equations, each sensor with a thickness of its own.
+
+All is on the whole grid, where waves are exponentials and an FFT's product is exact, as the layer is periodic with the gel's size. Pressure
+and shear are both found by spectral projected gradients (Birgin, Martínez and Raydan 2000): one product a step, where conjugate gradients
+need two whenever the contact changes. Each sensor stops where it is good enough, so what it answers hangs on no other one.
+
+Shapes: n sensors, (n, rows, columns), vectors (n, 2 or 3, rows, columns). Units as there: mm, kPa, single precision.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gelsim.live import layer as single
+from gelsim.live.layer import Layer
+
+CHECKED = 4
+"""Steps of a gradient method between looks whether all sensors are done: to look is to wait for the GPU."""
+TINY = 1e-30
+
+
+def inner(one: Tensor, other: Tensor) -> Tensor:
+    """Sum of products over all but the first axis, (n, 1, 1)."""
+    return (one * other).flatten(1).sum(dim=1)[:, None, None]
+
+
+def norm(values: Tensor) -> Tensor:
+    return inner(values, values).sqrt()
+
+
+class Layers:
+    """What tractions do to the faces of many layers of one size and material."""
+
+    def __init__(self, layer: Layer, thinnest: float, thickest: float, device: str) -> None:
+        """For thicknesses [mm] in between."""
+        first, last = (math.log(limit) / math.log1p(single.NODES) for limit in (thinnest, thickest))
+        self._first, last = math.floor(first), math.floor(last) + 1
+        nodes = [layer.spectrum(node) for node in range(self._first, last + 1)]
+        real = [np.concatenate([node[:4].real, -node[4:].imag]) for node in nodes]
+        self._nodes = torch.as_tensor(np.stack(real), device=device)
+        self.layer, self.shape, self.device = layer, layer.shape, device
+        self.x, self.y = (torch.as_tensor(way, dtype=torch.float32, device=device) for way in np.meshgrid(layer.x, layer.y))
+        self.modulus = layer.material.shear_kpa
+        by_y, by_x = np.fft.fftfreq(layer.shape[0], layer.cell[1])[:, None], np.fft.rfftfreq(layer.shape[1], layer.cell[0])
+        self._squared = torch.as_tensor((2 * np.pi) ** 2 * (by_x**2 + by_y**2), dtype=torch.float32, device=device)
+
+    def ways(self, thickness: Tensor) -> Tensor:
+        """The answers of layers so thick (n,) [mm], (n, 6, rows, columns / 2 + 1): u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and of u_x
+        and u_y by p the imaginary part, which is also that of u_z by q_x and q_y."""
+        place = thickness.log() / math.log1p(single.NODES) - self._first
+        node = place.floor().clamp(0, len(self._nodes) - 2)
+        share = (place - node)[:, None, None, None].float()
+        return torch.lerp(self._nodes[node.long()], self._nodes[node.long() + 1], share)
+
+    def stiffness(self, thickness: Tensor) -> Tensor:
+        """Of the softest wave, along the face [kPa/mm], (n, 1, 1)."""
+        return (self.modulus / thickness)[:, None, None].float()
+
+    def moved(self, ways: Tensor, pressure: Tensor, shear: Tensor) -> Tensor:
+        """Displacement u of all tractions together [mm], (n, 3, rows, columns)."""
+        zz, xx, yy, xy, xz, yz = ways.unbind(1)
+        x, y, p = torch.fft.rfft2(torch.cat([shear, pressure[:, None]], dim=1)).unbind(1)
+        found = xx * x + xy * y + 1j * (xz * p), xy * x + yy * y + 1j * (yz * p), 1j * (xz * x + yz * y) - zz * p
+        return self._back(torch.stack(found, 1))
+
+    def sunk(self, ways: Tensor, pressure: Tensor) -> Tensor:
+        """How deep a pressure alone presses the face [mm]."""
+        return self._back(ways[:, 0] * torch.fft.rfft2(pressure))
+
+    def dragged(self, ways: Tensor, shear: Tensor) -> Tensor:
+        """How far tangential tractions alone move the face along itself [mm]."""
+        x, y = torch.fft.rfft2(shear).unbind(1)
+        return self._back(torch.stack([ways[:, 1] * x + ways[:, 3] * y, ways[:, 3] * x + ways[:, 2] * y], 1))
+
+    def lifted(self, ways: Tensor, shear: Tensor) -> Tensor:
+        """u_z of tangential tractions [mm]."""
+        x, y = torch.fft.rfft2(shear).unbind(1)
+        return self._back(1j * (ways[:, 4] * x + ways[:, 5] * y))
+
+    def _back(self, waves: Tensor) -> Tensor:
+        return torch.fft.irfft2(waves, s=self.shape)
+
+    def slope(self, values: Tensor) -> Tensor:
+        """Of values (..., rows, columns) along x and y, (2, ..., rows, columns); at the rim half of it."""
+        found = torch.zeros((2, *values.shape), dtype=values.dtype, device=values.device)
+        for change, axis, cell in zip(found, (-1, -2), self.layer.cell, strict=True):
+            to, before, last = change.transpose(axis, -1), values.transpose(axis, -1), values.shape[axis] - 1
+            torch.sub(before[..., 2:], before[..., :-2], out=to[..., 1:-1])
+            to[..., 0], to[..., last] = before[..., 1] - before[..., 0], before[..., last] - before[..., last - 1]
+            change *= 0.5 / cell
+        return found
+
+    def bending(self, pressure: Tensor, moved: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+        """As `layer.Window.bending`: tractions and motion of second order, (n, 2, rows, columns) each."""
+        height = moved[:, 2] + (rest - self._level(pressure, rest))
+        blur = torch.exp(-0.5 * self._squared * (-moved[:, 2].amin(dim=(1, 2), keepdim=True)).clamp(min=0.0) ** 2)
+        (xx, yx), (xy, yy) = (change.unbind(1) for change in self.slope(self._back(blur[:, None] * torch.fft.rfft2(moved[:, :2]))))
+        mean = 2 * self.modulus * (xx + yy) - pressure
+        skew = height * (self.modulus * (xy + yx))
+        by_x, by_y = self.slope(torch.stack([height * (2 * self.modulus * xx + mean), skew, height * (2 * self.modulus * yy + mean)], 1))
+        along = pressure[:, None] * self.slope(height).transpose(0, 1) + by_x[:, :2] + by_y[:, 1:]
+        return single.BENT * along, self.carried(moved, height)
+
+    def carried(self, moved: Tensor, height: Tensor) -> Tensor:
+        return -single.BENT * height[:, None] * self.slope(moved[:, 2]).transpose(0, 1)
+
+    def led(self, pressure: Tensor, moved: Tensor, rest: Tensor) -> Tensor:
+        """As `layer.Window.led`, (n, rows, columns)."""
+        total = pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
+        x, y = (way - (pressure * way).sum(dim=(1, 2), keepdim=True) / total for way in (self.x, self.y))
+        apart = moved[:, :2] - (pressure[:, None] * moved[:, :2]).sum(dim=(2, 3), keepdim=True) / total[:, None]
+        inertia = (pressure * (x**2 + y**2)).sum(dim=(1, 2), keepdim=True).clamp(min=1e-9)
+        turned = (pressure * (x * apart[:, 1] - y * apart[:, 0])).sum(dim=(1, 2), keepdim=True) / inertia
+        apart = apart + torch.stack([turned * y, -turned * x], 1)
+        still = self.slope(rest.expand_as(pressure)).transpose(0, 1)
+        return -single.LED * (apart * self.slope(moved[:, 2]).transpose(0, 1) + moved[:, :2] * still).sum(dim=1)
+
+    def _level(self, pressure: Tensor, rest: Tensor) -> Tensor:
+        return (pressure * rest).sum(dim=(1, 2), keepdim=True) / pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
+
+    def height(self, pressure: Tensor, moved: Tensor, rest: Tensor) -> Tensor:
+        """Of the face over where the pressure's centre was at rest [mm]."""
+        return moved[:, 2] + (rest - self._level(pressure, rest))
+
+    def stiffening(self, thickness: Tensor, pressure: Tensor, moved: Tensor) -> Tensor:
+        """As `layer.stiffening`, (n, 1, 1)."""
+        deepest, total = -moved[:, 2].amin(dim=(1, 2), keepdim=True), pressure.sum(dim=(1, 2), keepdim=True)
+        mean = -inner(pressure, moved[:, 2]) / total.clamp(min=TINY)
+        share = (mean / deepest.clamp(min=TINY)).clamp(0.0, 1.0)
+        thinned = single.STIFFENING * share**single.FLATNESS * mean / thickness[:, None, None].float()
+        work, less = (inner(pressure, self.sunk(self.ways(h), pressure)) for h in (thickness, (1 - single.THINNER) * thickness))
+        return torch.where((total > 0) & (deepest > 0), 1.0 + (1.0 - less / work.clamp(min=TINY)) / single.THINNER * thinned, 1.0)
+
+    def pressed(self, ways: Tensor, room: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
+        """As `layer.pressure`: p ≥ 0 [kPa] with gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap. `deepest`: overlap (n, 1, 1) [mm]."""
+        allowed = single.GAP_TOLERANCE * deepest
+        some = start.amax(dim=(1, 2), keepdim=True) > 0
+        p = torch.where(some, start, (room < 0) * (self.modulus * 1e-3))
+        gap = room + self.sunk(ways, p)
+
+        def going(p: Tensor, gap: Tensor) -> Tensor:
+            inside = torch.where(p > 0, gap, 0.0)
+            outside = torch.where(p > 0, 0.0, gap).amin(dim=(1, 2), keepdim=True)
+            return (inner(inside, inside) > allowed**2 * (p > 0).sum(dim=(1, 2), keepdim=True)) | (-outside > 3 * allowed)
+
+        return self._descend(p, gap, lambda p: p.clamp(min=0.0), lambda way: self.sunk(ways, way), going, softest)
+
+    def sheared(self, ways: Tensor, slip: Tensor, bound: Tensor, start: Tensor, away: Tensor, softest: Tensor) -> tuple[Tensor, Tensor]:
+        """As `layer.shear`: tangential tractions q, |q| ≤ bound [kPa], and the slip that is left [mm], (n, 2, rows, columns) each."""
+        bound, softest = bound[:, None], softest[:, None]
+        touching = bound > 0
+        allowed = single.SLIP_TOLERANCE * torch.minimum(softest[:, 0] * away, norm(bound))
+
+        def going(q: Tensor, slip: Tensor) -> Tensor:
+            return (norm(bounded(q - softest * slip * touching, bound) - q) > allowed)[:, None]
+
+        return self._descend(start, slip, lambda q: bounded(q, bound), lambda way: self.dragged(ways, way), going, softest, touching)
+
+    @staticmethod
+    def _descend(
+        at: Tensor, slope: Tensor, within: Callable, answer: Callable, going: Callable, step: Tensor, where: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Spectral projected gradients: of a quadratic function whose gradient is `slope` at `at`, over what `within` leaves unchanged.
+
+        Args:
+            answer: What a change of `at` adds to the gradient.
+            going: Which sensors are not done, at a place and its gradient.
+            step: Along the gradient, the first time.
+            where: The gradient counts there alone.
+        """
+        one = (1,) * (at.ndim - 1)
+        for turn in range(single.STEPS):
+            left = going(at, slope)
+            if turn % CHECKED == 0 and not bool(left.any()):
+                break
+            held = slope if where is None else slope * where
+            way = (within(at - step * held) - at) * left
+            change = answer(way)
+            mine = change if where is None else change * where
+            steep = inner(mine, way).view(-1, *one)
+            sound = steep > 0
+            part = torch.where(sound, (-inner(held, way).view(-1, *one) / steep.clamp(min=TINY)).clamp(max=1.0), 0.0)
+            at, slope = at + part * way, slope + part * change
+            step = torch.where(sound, steep / inner(mine, mine).view(-1, *one).clamp(min=TINY), step)
+        return at, slope
+
+    def punch(self, ways: Tensor, cells: Tensor, motion: Tensor) -> Tensor:
+        """As `layer.punch` of a motion down (n, rows, columns) [mm]: a pressure on some cells [kPa]."""
+        left = motion * cells
+        traction, way, size = torch.zeros_like(left), left, inner(left, left)
+        allowed = single.PUNCH_TOLERANCE**2 * size
+        for turn in range(single.STEPS):
+            going = size > allowed
+            if turn % CHECKED == 0 and not bool(going.any()):
+                break
+            moved = self.sunk(ways, way) * cells
+            step = going * size / inner(way, moved).clamp(min=TINY)
+            traction, left = traction + step * way, left - step * moved
+            before, size = size, inner(left, left)
+            way = torch.where(going, left + size / before.clamp(min=TINY) * way, way)
+        return traction
+
+
+def bounded(q: Tensor, bound: Tensor) -> Tensor:
+    """Tangential tractions (n, 2, rows, columns), cut to a length (n, 1, rows, columns)."""
+    length = torch.hypot(q[:, 0], q[:, 1])[:, None]
+    return q * (bound / length.clamp(min=TINY)).clamp(max=1.0)
+
+
+def read(values: Tensor, layer: Layer, at: Tensor) -> Tensor:
+    """Values of the grid (n, ..., rows, columns) at places (n, k, 2) [mm], (n, ..., k): as `layer.smooth_between`."""
+    rows, columns = layer.shape
+    shares, places = [], []
+    for axis, (way, count) in enumerate(((layer.x, columns), (layer.y, rows))):
+        place = ((at[..., axis] - float(way[0])) / layer.cell[axis]).clamp(0.0, count - 1.0)
+        before = place.floor().clamp(max=count - 2.0)
+        shares.append(single.keys(place - before))
+        places.append([(before.long() + i).clamp(0, count - 1) for i in range(-1, 3)])
+    flat = values.reshape(len(values), -1, rows * columns)
+    found = torch.zeros((*flat.shape[:2], at.shape[1]), dtype=values.dtype, device=values.device)
+    for row, down in zip(places[1], shares[1], strict=True):
+        for column, right in zip(places[0], shares[0], strict=True):
+            value = flat.gather(2, (row * columns + column)[:, None].expand(-1, flat.shape[1], -1))
+            found += value * (down * right)[:, None].to(values.dtype)
+    return found.reshape(*values.shape[:-2], at.shape[1])

@@ -1,0 +1,187 @@
+"""Many live sensors at once, beside each alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_baked import flat_scene
+from test_lightfield import linear_field
+
+import gelsim
+from gelsim.errors import RenderError, SceneError
+from gelsim.live.sensor import LiveSensor
+from gelsim.optics import bake
+from gelsim.scene.definition import Body, Gel, Markers, Scene
+
+torch = pytest.importorskip("torch")
+from gelsim.live.batch import BatchFrame, LiveBatch  # noqa: E402
+
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+WALK = ((0.0, 0.0, -0.2), (0.0, 0.0, -0.5), (0.15, 0.1, -0.5), (0.5, 0.1, -0.55), (0.2, 0.1, -0.4), (0.2, 0.1, 0.3), (0.2, 0.0, -0.3))
+"""Places of an object [mm]: pressed, sheared, slid, back, lifted, pressed again."""
+FORCE = 0.005
+"""Of the force, between two solvers. Each leaves gaps of 1e-3 of the overlap, in which a ball's force goes with the power 1.5 to 2.5, and
+thickness and pressure settled to 5e-4; undersides are a map there, whose bilinear heights are 0.1² / 8R mm off, 5e-4 of the overlap."""
+SHEAR = 0.02
+"""Of the force: twice the slip that is left over the motion, 2e-3, of each of some ten increments."""
+
+
+def ball_scene(friction: float | str = 0.5, **gel: object) -> Scene:
+    ball = Body(shape="hemisphere", radius_mm=4.0, height_mm=6.0, rigid=True)
+    made = flat_scene(gel=Gel(**({"size_mm": (12.8, 10.0), "thickness_mm": 2.4, "profile": "flat"} | gel)), object=ball, markers=Markers())
+    return made.replace(contact=replace(made.contact, friction_coefficient=friction))
+
+
+def about(axis: int, degrees: float) -> tuple[float, ...]:
+    half = np.radians(degrees) / 2
+    return (float(np.cos(half)), *(float(np.sin(half)) * (i == axis) for i in range(3)))
+
+
+def pose(x: float, y: float, z: float, turn: tuple[float, ...] = UPRIGHT) -> tuple[float, ...]:
+    """Of a place in mm."""
+    return (x * 1e-3, y * 1e-3, z * 1e-3, *turn)
+
+
+def forces(scene: Scene, alone: Scene | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Of two sensors on mirrored walks, of which the second turns, (steps, 2, 3) [N]: at once, and each alone."""
+    many, one = LiveBatch(scene, 2, image=False, device="cpu"), [LiveSensor(alone or scene, image=False) for _ in range(2)]
+    found, known = [], []
+    for x, y, z in WALK:
+        poses = [pose(x, y, z), pose(-x, y, z, about(2, 20.0 * x))]
+        found.append(many.step(np.array(poses), 0.01).force[:, 0].numpy())
+        known.append([sensor.step(where, 0.01).force for sensor, where in zip(one, poses, strict=True)])
+    return np.array(found), np.array(known)
+
+
+def off(found: np.ndarray, known: np.ndarray) -> tuple[float, float]:
+    """Largest difference over the largest force of a walk, along z and along the gel."""
+    apart = np.abs(found - known).max(axis=(0, 1)) / np.abs(known[..., 2]).max()
+    return float(apart[2]), float(apart[:2].max())
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5, "stick"])
+@pytest.mark.parametrize("gel", [{"profile": "flat"}, {"profile": "dome", "edge_thickness_mm": 1.6}], ids=["flat", "dome"])
+def test_forces_are_those_of_each_alone(friction: float | str, gel: dict) -> None:
+    found, known = forces(ball_scene(friction, **gel))
+    assert np.less(off(found, known), (FORCE, SHEAR)).all()
+    assert (found[5] == 0).all() and (found[-1, :, 2] < 0).all()
+    if friction == 0.5:
+        assert np.greater(off(*forces(ball_scene(0.6, **gel), ball_scene(0.5, **gel))), (0.0, SHEAR)).all()  # planted: another law
+
+
+def test_heights_markers_torque_and_contact_are_those_of_each_alone() -> None:
+    scene = ball_scene()
+    many, one = LiveBatch(scene, 1, image=False, device="cpu"), LiveSensor(scene, image=False)
+    for x, y, z in WALK[:4]:
+        frame, known = many.step(np.array([pose(x, y, z, about(0, 8.0))]), 0.01), one.step(pose(x, y, z, about(0, 8.0)), 0.01)
+        touching = frame.contact[0].numpy() >= 0
+        assert (touching != known.contact).sum() <= 0.05 * known.contact.sum()  # cells of the rim
+        apart = (frame.height[0].numpy() - known.height)[touching == known.contact]  # what touches is held where it is read
+        assert np.sqrt((apart**2).mean()) < 1e-6  # a gap of 1e-3 of 0.55 mm, the map's 0.3 µm
+        apart = frame.marker_pixels[0].numpy() - known.marker_pixels
+        assert np.nanmax(np.abs(apart)) < 0.2 and (np.isnan(apart) == np.isnan(known.marker_pixels)).all()  # of 25 pixels a millimetre
+        moment = np.abs(known.torque).max() + 1e-3 * abs(known.force[2])
+        assert np.abs(frame.torque[0, 0].numpy() - known.torque).max() < 2 * SHEAR * moment
+    lower = many.step(np.array([pose(x, y, z - 0.005, about(0, 8.0))]), 0.01).height[0].numpy()
+    assert np.sqrt(((lower - known.height) ** 2).mean()) > 1e-6  # planted: 5 µm
+
+
+def test_a_picture_is_that_of_a_sensor_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bake, "light_field", lambda *_: linear_field())
+    ball = Body(shape="hemisphere", radius_mm=2.0, height_mm=4.0, rigid=True)
+    scene = flat_scene(gel=Gel(size_mm=(8.0, 8.0), profile="flat"), object=ball)
+    many, one = LiveBatch(scene, 2, device="cpu"), LiveSensor(scene)
+    frame = many.step(np.array([pose(0.5, 0.0, -0.4), pose(0.0, 0.0, 0.5)]), 0.01)
+    known = one.step(pose(0.5, 0.0, -0.4), 0.01).image
+    assert frame.image is not None and known is not None and frame.image.dtype == torch.uint8
+    apart = np.abs(frame.image[0].numpy().astype(int) - known.astype(int))
+    assert apart.mean() < 0.1  # of 255; the key of the noise is the same
+    assert np.abs(frame.image[1].numpy().astype(int) - known.astype(int)).mean() > 0.5  # planted: the gel at rest
+
+
+def test_a_sensor_answers_as_if_the_others_were_not_there() -> None:
+    """To single precision over the iterations: what stops one is its own."""
+    scene = ball_scene()
+    batch, alone = LiveBatch(scene, 3, image=False, device="cpu"), LiveBatch(scene, 1, image=False, device="cpu")
+    for x, y, z in WALK[:4]:
+        poses = np.array([pose(x, y, z), pose(-x, 2 * y, 0.5 * z), pose(0.0, 0.0, 1.0)])
+        frame, known = batch.step(poses, 0.01), alone.step(poses[:1], 0.01)
+        assert torch.allclose(frame.force[0], known.force[0], rtol=1e-4, atol=1e-6)
+        assert not frame.force[2].any() and not (frame.contact[2] >= 0).any()
+
+
+def test_resets_forget_what_was_and_nothing_else() -> None:
+    scene = ball_scene()
+    batch = LiveBatch(scene, 2, image=False, device="cpu")
+
+    def walked() -> list[BatchFrame]:
+        return [batch.step(np.array([pose(x, y, z), pose(y, x, z)]), 0.01) for x, y, z in WALK[:4]]
+
+    first = walked()
+    batch.reset()
+    assert all(torch.equal(a.force, b.force) and torch.equal(a.height, b.height) for a, b in zip(first, walked(), strict=True))
+    batch.reset([1])
+    still = batch.step(np.array([pose(*WALK[3]), pose(*WALK[3])]), 0.01)
+    assert torch.allclose(still.force[0], first[-1].force[0], rtol=FORCE, atol=1e-6)
+    assert abs(float(still.force[1, 0, 0])) < 0.02 * abs(float(still.force[1, 0, 2]))  # pressed straight down
+
+
+def test_of_several_objects_each_tells_its_own_force() -> None:
+    """A ball and a box, 6 mm apart on a gel of 2.4 mm: what one does to the other falls by e^(-k x), k h = 2.3 at least, so to
+    exp(-2.3 · 3 / 2.4) between their edges; and one that hangs above changes nothing."""
+    scene = ball_scene(0.4)
+    box = Body(shape="box", width_mm=2.0, length_mm=3.0, height_mm=3.0, rigid=True)
+    pair = LiveBatch(scene, 1, (scene.object, box), image=False, device="cpu")
+    ball_alone, box_alone = (LiveBatch(scene, 1, (body,), image=False, device="cpu") for body in (scene.object, box))
+    for x, z in ((0.0, -0.2), (0.0, -0.3), (0.05, -0.3)):
+        ball, brick = pose(-3.0 + x, 0.0, z), pose(3.0, x, 0.5 * z)
+        both = pair.step(np.array([[ball, brick]]), 0.01)
+        for number, (batch, where) in enumerate(((ball_alone, ball), (box_alone, brick))):
+            known = batch.step(np.array([where]), 0.01)
+            assert torch.allclose(both.force[0, number], known.force[0, 0], atol=0.06 * float(-known.force[0, 0, 2]))
+        assert set(both.contact.unique().tolist()) == {-1, 0, 1}
+    pair.reset()
+    ball_alone.reset()
+    above = pair.step(np.array([[pose(-3.0, 0.0, -0.3), pose(3.0, 0.0, 1.0)]]), 0.01)
+    known = ball_alone.step(np.array([pose(-3.0, 0.0, -0.3)]), 0.01)
+    assert torch.allclose(above.force[0, 0], known.force[0, 0], rtol=1e-5) and not above.force[0, 1].any()
+
+
+def test_bad_input_is_named_and_leaves_the_gels_as_they_were() -> None:
+    scene = ball_scene()
+    batch = LiveBatch(scene, 2, image=False, device="cpu")
+    before = batch.step(np.array([pose(0.0, 0.0, -0.3)] * 2), 0.01)
+    sound = np.array([pose(0.0, 0.0, -0.3)] * 2)
+    for poses, named in (
+        (sound[:1], r"shape \(1, 1, 7\).*\(2, 1, 7\)"),
+        (sound * np.nan, r"poses\[0, 0\]"),
+        (np.array([pose(0.0, 0.0, -0.3), pose(0.0, 0.0, -2.0)]), r"poses\[1\].*1\.44 mm"),
+        (np.array([pose(0.0, 0.0, -0.3), pose(0.0, 0.0, -0.3, (2.0, 0.0, 0.0, 0.0))]), r"poses\[1, 0\].*length 1"),
+        ("there", "shape"),
+    ):
+        with pytest.raises(SceneError, match=named):
+            batch.step(poses, 0.01)
+    with pytest.raises(SceneError, match="dt = 0"):
+        batch.step(sound, 0)
+    assert torch.equal(batch.step(sound, 0.01).contact, before.contact)
+    with pytest.raises(SceneError, match="sensors = 0"):
+        LiveBatch(scene, 0)
+    with pytest.raises(SceneError, match="rigid"):
+        LiveBatch(scene, 1, (replace(scene.object, rigid=False),), image=False)
+    if not torch.cuda.is_available():
+        with pytest.raises(RenderError, match="no GPU"):
+            gelsim.LiveBatch(scene, 1, device="cuda")
+
+
+@pytest.mark.gpu
+def test_a_gpu_answers_as_the_processor() -> None:
+    scene = ball_scene()
+    one, other = (LiveBatch(scene, 4, image=False, device=device) for device in ("cpu", "cuda"))
+    for x, y, z in WALK[:4]:
+        poses = np.array([pose(x + 0.1 * i, y, z) for i in range(4)])
+        known, frame = one.step(poses, 0.01), other.step(torch.as_tensor(poses, device="cuda"), 0.01)
+        assert frame.force.is_cuda and frame.height.is_cuda and frame.marker_pixels.is_cuda
+        assert torch.allclose(frame.force.cpu(), known.force, atol=FORCE * float(known.force.abs().max()))
+        assert torch.allclose(frame.height.cpu(), known.height, atol=2e-6)
