@@ -40,8 +40,8 @@ try:
 except ImportError as error:
     raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
 
+from gelsim.live.batch_kernels import FAR_MM, undersides
 from gelsim.live.batch_layer import Layers, bounded, read
-from gelsim.live.batch_underside import FAR_MM, undersides
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -68,7 +68,7 @@ class BatchFrame:
     @cached_property
     def height(self) -> Tensor:
         """z of the coated surfaces over the grid's places [m], shape (n, rows, columns); found when first looked at."""
-        return (self._batch._rest + self._batch._field(self._state)[:, 2]) * MM
+        return (self._batch._rest + self._batch._seen_field(self._state)[:, 2]) * MM
 
     @cached_property
     def marker_pixels(self) -> Tensor:
@@ -144,6 +144,7 @@ class LiveBatch:
         self._fields = [whole_field(body).grid(self.device) for body in self.objects]
         self._centres = torch.as_tensor(marker_layout(scene).centres * MM_PER_M, device=self.device)
         self._draws = image
+        self._shown: tuple[State, Tensor] | None = None
         if image:
             _ = self._drawer  # measures the light now
         self.reset()
@@ -210,7 +211,7 @@ class LiveBatch:
 
     def image(self) -> Tensor:
         """Pictures of the present state, 8-bit sRGB, (n, H, W, 3)."""
-        return self._drawer.many(self._field(self._state))
+        return self._drawer.many(self._seen_field(self._state))
 
     @cached_property
     def _drawer(self) -> Drawer:
@@ -373,21 +374,30 @@ class LiveBatch:
         return replace(state, moved=moved, anchor=anchor)
 
     def _frame(self) -> BatchFrame:
-        layer, state = self._layer, self._state
-        stiffer = torch.ones_like(state.pressure[:, :1, :1])
-        if self._friction:
-            stiffer = self._layers.stiffening(state.thickness, state.pressure, state.moved)
-        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * stiffer  # kPa to N
+        layer, layers, state = self._layer, self._layers, self._state
         z = self._rest + state.moved[:, 2]
-        tangential = state.shear + state.pressure[:, None] * self._layers.slope(z).transpose(0, 1)
-        traction = torch.cat([tangential, -state.pressure[:, None]], 1).double() * area[:, None]
-        points = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, z), 1).double() * MM
-        moment = torch.linalg.cross(points, traction, dim=1)
+        traction = state.shear + state.pressure[:, None] * layers.slope(z).transpose(0, 1)
+        traction = torch.cat([traction, -state.pressure[:, None]], 1)
+        arms = torch.stack([torch.ones_like(layers.x), layers.x, layers.y]).flatten(1).T
         touching = state.pressure > 0
-        owners = [((state.owner == body) & touching)[:, None] for body in range(len(self.objects))]
-        force, torque = (torch.stack([(what * mine).sum(dim=(2, 3)) for mine in owners], 1) for what in (traction, moment))
+        force, torque = [], []
+        for body in range(len(self.objects)):
+            mine = traction if len(self.objects) == 1 else traction * (state.owner == body)[:, None]
+            sums, by_z = mine.flatten(2) @ arms, mine.flatten(2) @ z.flatten(1)[:, :, None]
+            force.append(sums[:, :, 0])
+            by = torch.cat([sums[:, :, 1:], by_z], 2)  # of force along i, times the place along j
+            torque.append(torch.stack([by[:, j, i] - by[:, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], 1))
+        stiffer = layers.stiffening(state.thickness, state.pressure, state.moved) if self._friction else torch.ones_like(z[:, :1, :1])
+        newtons = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * stiffer.double()  # from kPa
         contact = torch.where(touching, state.owner, -1).to(torch.int8)
-        return BatchFrame(self.image() if self._draws else None, force, torque, contact, self, state)
+        forces, torques = torch.stack(force, 1) * newtons, torch.stack(torque, 1) * newtons * MM
+        return BatchFrame(self.image() if self._draws else None, forces, torques, contact, self, state)
+
+    def _seen_field(self, state: State) -> Tensor:
+        """`_field`, kept for who looks next."""
+        if self._shown is None or self._shown[0] is not state:
+            self._shown = state, self._field(state)
+        return self._shown[1]
 
     def _field(self, state: State) -> Tensor:
         """As `gelsim.live.sensor.State.field`: displacement over the grid as it is seen [mm], (n, 3, rows, columns)."""
@@ -403,7 +413,7 @@ class LiveBatch:
         return torch.cat([sideways, z[:, None]], 1)
 
     def _marker_pixels(self, state: State) -> Tensor:
-        field = self._field(state)
+        field = self._seen_field(state)
         start = self._centres.expand(self._count, -1, -1)
         at = start
         for _ in range(single.LOOKS):  # x = X + u_t(x)

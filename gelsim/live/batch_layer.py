@@ -14,9 +14,11 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+import warp as wp
 from torch import Tensor
 
 from gelsim.live import layer as single
+from gelsim.live.batch_kernels import against_slip, dragged_waves, lifted_waves, moved_waves
 from gelsim.live.layer import Layer
 
 CHECKED = 4
@@ -26,7 +28,18 @@ TINY = 1e-30
 
 def inner(one: Tensor, other: Tensor) -> Tensor:
     """Sum of products over all but the first axis, (n, 1, 1)."""
-    return (one * other).flatten(1).sum(dim=1)[:, None, None]
+    return torch.bmm(one.flatten(1)[:, None], other.flatten(1)[:, :, None])
+
+
+def launch(kernel: wp.Kernel, *fields: Tensor) -> None:
+    """A kernel over sensors and the cells or waves of the last field, which it writes; all but the first axes are flattened."""
+    device = fields[0].device
+    stream = wp.stream_from_torch(torch.cuda.current_stream(device)) if device.type == "cuda" else None
+    arrays = []
+    for field in fields:
+        whole = torch.view_as_real(field) if field.is_complex() else field
+        arrays.append(wp.from_torch(whole, dtype=wp.vec2f if field.is_complex() else wp.float32, requires_grad=False))
+    wp.launch(kernel, (fields[-1].shape[0], fields[-1].shape[-1]), arrays, device=str(device), stream=stream)
 
 
 def norm(values: Tensor) -> Tensor:
@@ -63,27 +76,25 @@ class Layers:
 
     def moved(self, ways: Tensor, pressure: Tensor, shear: Tensor) -> Tensor:
         """Displacement u of all tractions together [mm], (n, 3, rows, columns)."""
-        zz, xx, yy, xy, xz, yz = ways.unbind(1)
-        x, y, p = torch.fft.rfft2(torch.cat([shear, pressure[:, None]], dim=1)).unbind(1)
-        found = xx * x + xy * y + 1j * (xz * p), xy * x + yy * y + 1j * (yz * p), 1j * (xz * x + yz * y) - zz * p
-        return self._back(torch.stack(found, 1))
+        return self._product(moved_waves, ways, torch.cat([shear, pressure[:, None]], dim=1), 3)
 
     def sunk(self, ways: Tensor, pressure: Tensor) -> Tensor:
         """How deep a pressure alone presses the face [mm]."""
-        return self._back(ways[:, 0] * torch.fft.rfft2(pressure))
+        return torch.fft.irfft2(ways[:, 0] * torch.fft.rfft2(pressure), s=self.shape)
 
     def dragged(self, ways: Tensor, shear: Tensor) -> Tensor:
         """How far tangential tractions alone move the face along itself [mm]."""
-        x, y = torch.fft.rfft2(shear).unbind(1)
-        return self._back(torch.stack([ways[:, 1] * x + ways[:, 3] * y, ways[:, 3] * x + ways[:, 2] * y], 1))
+        return self._product(dragged_waves, ways, shear, 2)
 
     def lifted(self, ways: Tensor, shear: Tensor) -> Tensor:
         """u_z of tangential tractions [mm]."""
-        x, y = torch.fft.rfft2(shear).unbind(1)
-        return self._back(1j * (ways[:, 4] * x + ways[:, 5] * y))
+        return self._product(lifted_waves, ways, shear, 1)[:, 0]
 
-    def _back(self, waves: Tensor) -> Tensor:
-        return torch.fft.irfft2(waves, s=self.shape)
+    def _product(self, kernel: wp.Kernel, ways: Tensor, tractions: Tensor, parts: int) -> Tensor:
+        waves = torch.fft.rfft2(tractions)
+        found = torch.empty((len(waves), parts, *waves.shape[2:]), dtype=waves.dtype, device=waves.device)
+        launch(kernel, ways.flatten(2), waves.flatten(2), found.flatten(2))
+        return torch.fft.irfft2(found, s=self.shape)
 
     def slope(self, values: Tensor) -> Tensor:
         """Of values (..., rows, columns) along x and y, (2, ..., rows, columns); at the rim half of it."""
@@ -99,7 +110,9 @@ class Layers:
         """As `layer.Window.bending`: tractions and motion of second order, (n, 2, rows, columns) each."""
         height = moved[:, 2] + (rest - self._level(pressure, rest))
         blur = torch.exp(-0.5 * self._squared * (-moved[:, 2].amin(dim=(1, 2), keepdim=True)).clamp(min=0.0) ** 2)
-        (xx, yx), (xy, yy) = (change.unbind(1) for change in self.slope(self._back(blur[:, None] * torch.fft.rfft2(moved[:, :2]))))
+        (xx, yx), (xy, yy) = (
+            change.unbind(1) for change in self.slope(torch.fft.irfft2(blur[:, None] * torch.fft.rfft2(moved[:, :2]), s=self.shape))
+        )
         mean = 2 * self.modulus * (xx + yy) - pressure
         skew = height * (self.modulus * (xy + yx))
         by_x, by_y = self.slope(torch.stack([height * (2 * self.modulus * xx + mean), skew, height * (2 * self.modulus * yy + mean)], 1))
@@ -141,52 +154,61 @@ class Layers:
         allowed = single.GAP_TOLERANCE * deepest
         some = start.amax(dim=(1, 2), keepdim=True) > 0
         p = torch.where(some, start, (room < 0) * (self.modulus * 1e-3))
-        gap = room + self.sunk(ways, p)
 
         def going(p: Tensor, gap: Tensor) -> Tensor:
-            inside = torch.where(p > 0, gap, 0.0)
-            outside = torch.where(p > 0, 0.0, gap).amin(dim=(1, 2), keepdim=True)
-            return (inner(inside, inside) > allowed**2 * (p > 0).sum(dim=(1, 2), keepdim=True)) | (-outside > 3 * allowed)
+            held = p > 0
+            inside, outside = torch.where(held, gap, 0.0), torch.where(held, 0.0, gap).amin(dim=(1, 2), keepdim=True)
+            return (inner(inside, inside) > allowed**2 * held.sum(dim=(1, 2), keepdim=True)) | (-outside > 3 * allowed)
 
-        return self._descend(p, gap, lambda p: p.clamp(min=0.0), lambda way: self.sunk(ways, way), going, softest)
+        def way(p: Tensor, gap: Tensor, step: Tensor) -> Tensor:
+            return torch.addcmul(p, step, gap, value=-1.0).clamp_(min=0.0).sub_(p)
+
+        return self._descend((p, room + self.sunk(ways, p)), way, lambda way: self.sunk(ways, way), going, softest)
 
     def sheared(self, ways: Tensor, slip: Tensor, bound: Tensor, start: Tensor, away: Tensor, softest: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.shear`: tangential tractions q, |q| ≤ bound [kPa], and the slip that is left [mm], (n, 2, rows, columns) each."""
-        bound, softest = bound[:, None], softest[:, None]
-        touching = bound > 0
-        allowed = single.SLIP_TOLERANCE * torch.minimum(softest[:, 0] * away, norm(bound))
+        touching = bound[:, None] > 0
+        allowed = single.SLIP_TOLERANCE * torch.minimum(softest * away, norm(bound))
+
+        def way(q: Tensor, slip: Tensor, step: Tensor) -> Tensor:
+            found = torch.empty_like(q)
+            launch(against_slip, q.flatten(2), slip.flatten(2), bound.flatten(1), step.flatten(), found.flatten(2))
+            return found
 
         def going(q: Tensor, slip: Tensor) -> Tensor:
-            return (norm(bounded(q - softest * slip * touching, bound) - q) > allowed)[:, None]
+            return norm(way(q, slip, softest)) > allowed
 
-        return self._descend(start, slip, lambda q: bounded(q, bound), lambda way: self.dragged(ways, way), going, softest, touching)
+        return self._descend((start, slip), way, lambda way: self.dragged(ways, way), going, softest, touching)
 
     @staticmethod
     def _descend(
-        at: Tensor, slope: Tensor, within: Callable, answer: Callable, going: Callable, step: Tensor, where: Tensor | None = None
+        start: tuple[Tensor, Tensor], way: Callable, answer: Callable, going: Callable, step: Tensor, where: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Spectral projected gradients: of a quadratic function whose gradient is `slope` at `at`, over what `within` leaves unchanged.
+        """Spectral projected gradients, of a quadratic function: a place and the gradient there, to the least of what is allowed.
 
         Args:
-            answer: What a change of `at` adds to the gradient.
-            going: Which sensors are not done, at a place and its gradient.
-            step: Along the gradient, the first time.
-            where: The gradient counts there alone.
+            way: To another place that is allowed, against the gradient; 0 for a step of 0.
+            answer: What a change of place adds to the gradient.
+            going: Which sensors are not done, (n, 1, 1); looked at every CHECKED steps.
+            step: Along the gradient, the first time, (n, 1, 1).
+            where: The gradient counts there alone, as the way is 0 elsewhere.
         """
-        one = (1,) * (at.ndim - 1)
+        at, slope = start
+        shape = (-1, *(1,) * (at.ndim - 1))
+        left = torch.ones_like(step, dtype=torch.bool)
         for turn in range(single.STEPS):
-            left = going(at, slope)
-            if turn % CHECKED == 0 and not bool(left.any()):
-                break
-            held = slope if where is None else slope * where
-            way = (within(at - step * held) - at) * left
-            change = answer(way)
+            if turn % CHECKED == 0:
+                left = going(at, slope)
+                if not bool(left.any()):
+                    break
+            move = way(at, slope, (step * left).view(shape))
+            change = answer(move)
             mine = change if where is None else change * where
-            steep = inner(mine, way).view(-1, *one)
+            steep = inner(mine, move)
             sound = steep > 0
-            part = torch.where(sound, (-inner(held, way).view(-1, *one) / steep.clamp(min=TINY)).clamp(max=1.0), 0.0)
-            at, slope = at + part * way, slope + part * change
-            step = torch.where(sound, steep / inner(mine, mine).view(-1, *one).clamp(min=TINY), step)
+            part = torch.where(sound, (-inner(slope, move) / steep.clamp(min=TINY)).clamp(max=1.0), 0.0).view(shape)
+            at, slope = torch.addcmul(at, part, move), torch.addcmul(slope, part, change)
+            step = torch.where(sound, steep / inner(mine, mine).clamp(min=TINY), step)
         return at, slope
 
     def punch(self, ways: Tensor, cells: Tensor, motion: Tensor) -> Tensor:

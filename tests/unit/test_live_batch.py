@@ -102,13 +102,13 @@ def test_a_picture_is_that_of_a_sensor_alone(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_sensor_answers_as_if_the_others_were_not_there() -> None:
-    """To single precision over the iterations: what stops one is its own."""
+    """What stops one is its own; sums are rounded differently, which may stop it a step later: 1e-3 of the overlap."""
     scene = ball_scene()
     batch, alone = LiveBatch(scene, 3, image=False, device="cpu"), LiveBatch(scene, 1, image=False, device="cpu")
     for x, y, z in WALK[:4]:
         poses = np.array([pose(x, y, z), pose(-x, 2 * y, 0.5 * z), pose(0.0, 0.0, 1.0)])
         frame, known = batch.step(poses, 0.01), alone.step(poses[:1], 0.01)
-        assert torch.allclose(frame.force[0], known.force[0], rtol=1e-4, atol=1e-6)
+        assert torch.allclose(frame.force[0], known.force[0], rtol=FORCE, atol=FORCE * 1e-2)
         assert not frame.force[2].any() and not (frame.contact[2] >= 0).any()
 
 
