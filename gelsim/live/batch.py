@@ -41,7 +41,7 @@ except ImportError as error:
     raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
 
 from gelsim.live.batch_kernels import FAR_MM, undersides
-from gelsim.live.batch_layer import Layers, bounded, read
+from gelsim.live.batch_layer import Layers, bounded, read, stream
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -250,11 +250,10 @@ class LiveBatch:
         """Heights of the objects [mm] over the grid, (n, objects, rows, columns), and which of them is the lowest, (n, rows, columns)."""
         found = torch.empty((len(self.objects), self._count, *self._layer.shape), device=self.device)
         x, y = self._wp(self._layers.x[0]), self._wp(self._layers.y[:, 0])
-        stream = wp.stream_from_torch(torch.cuda.current_stream()) if self.device != "cpu" else None
         for body, field in enumerate(self._fields):
             poses = self._wp(turn[:, body], wp.mat33d), self._wp(shift[:, body], wp.vec3d)
             inputs = [field, *poses, x, y, self._ceiling, self._wp(found[body])]
-            wp.launch(undersides, (self._count, *self._layer.shape), inputs, device=self.device, stream=stream)
+            wp.launch(undersides, (self._count, *self._layer.shape), inputs, device=self.device, stream=stream(found.device))
         heights = found.transpose(0, 1)
         return heights, heights.argmin(dim=1).to(torch.int8)
 

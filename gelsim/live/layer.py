@@ -355,12 +355,11 @@ class Window:
         skew: Any = height * (modulus * (xy + yx))
         along: Any = np.stack([height * (2 * modulus * xx + mean), skew, height * (2 * modulus * yy + mean)])
         by_x, by_y = self.slope(along)
-        return np.float32(BENT) * (pressure * self.slope(height) + by_x[:2] + by_y[1:]), np.float32(-BENT) * height * self.slope(moved[2])
+        return np.float32(BENT) * (pressure * self.slope(height) + by_x[:2] + by_y[1:]), self.carried(moved, height)
 
-    def bent(self, pressure: Values, moved: Values, rest: Values) -> Values:
-        """The motion along the face of second order [mm], (2, rows, columns): of `bending`, both."""
-        along, carried = self.bending(pressure, moved, rest)
-        return self.dragged(along) + carried
+    def carried(self, moved: Values, height: Values) -> Values:
+        """Of `bending`, the motion, by the face's height over where the pressure's centre was at rest [mm]."""
+        return np.float32(-BENT) * height * self.slope(moved[2])
 
     def led(self, pressure: Values, moved: Values, rest: Values) -> Values:
         """How much higher the face is over a place [mm] when its height is that of the point which has come there: -u_t · ∇height.

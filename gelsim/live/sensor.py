@@ -46,8 +46,6 @@ RISE = 0.5
 """Of the deepest overlap: cells over which the object is no higher are looked at, as the gel rises beside a contact."""
 WINDOW = 8
 """Cells by which the part of the grid that is looked at grows."""
-AROUND = 1.0
-"""Of the thickness: how far around a window the face is followed to second order."""
 STUCK = 0.999
 """Of the frictional bound, below which it sticks."""
 STICK = 1e3
@@ -133,9 +131,11 @@ class State:
         if self.pressure.size == 0:
             return np.zeros((3, *whole.shape), np.float32)
         p, q = self.over(self.pressure, whole.shape), self.over(self.shear, whole.shape)
+        along, _ = self.window.bending(self.pressure, self.moved, self.rest)
         moved = whole.moved(p, q)
         led = whole.led(p, moved, self.gel) if self.friction and p.any() else None
-        moved[:2] += whole.bent(p, moved, self.gel)
+        bent = whole.dragged(self.over(along, whole.shape))
+        moved[:2] += bent + whole.carried(moved, moved[2] + (self.gel - gel_layer.level(self.pressure, self.rest)))
         if led is not None:
             (held,) = gel_layer.punch(self.window, self.pressure > 0, led[None, *self.place])
             moved[2] += led - whole.sunk(self.over(held, whole.shape))
@@ -359,44 +359,27 @@ class LiveSensor:
                 break
             bound = slip_bounds(self._friction, p)
             held = gel_layer.bounded(q, bound)
-            if not same:
-                window = window.at(thickness)
+            if not (same and np.array_equal(p, before) and np.array_equal(held, q)):
+                window = window if same else window.at(thickness)
+                moved = window.moved(p, held)
             if self._friction:
-                last = bent
-                moved, bent = self._curved(window, place, p, held)
+                along, carried = window.bending(p, moved, rest)
+                last, bent = bent, window.dragged(along) + carried
                 turned = window.stiffness * float(np.linalg.norm((bent - last) * (p > 0)))
                 slip = moved[:2] + bent - anchor
                 q, left = gel_layer.shear(window, slip, bound, held, float(np.linalg.norm((slip - dragged) * (p > 0))))
                 dragged = dragged + left - slip
                 moved = np.stack([*(left + anchor - bent), moved[2] + window.lifted(q - held)])
                 solved = True
-            elif not (same and np.array_equal(p, before)):
-                moved = window.moved(p, held)
+        if not (window is state.window and np.array_equal(p, state.pressure) and np.array_equal(q, state.shear)):
+            moved = window.moved(p, q)
         stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * slip_bounds(self._friction, p)) ** 2
         if self._friction:
-            moved, bent = self._curved(window, place, p, q)
-            anchor = np.where(stuck, anchor, moved[:2] + bent)
+            along, carried = window.bending(p, moved, rest)
+            anchor = np.where(stuck, anchor, moved[:2] + window.dragged(along) + carried)
         dragged, anchor = dragged.astype(np.float32, copy=False), anchor.astype(np.float32, copy=False)
         self._state = State(window, place, p, q, self._rest, moved, dragged, anchor, self._friction)
         self._pose, self._clear = (turn, shift), 0.0
-
-    def _curved(self, window: Window, place: Place, p: Values, q: Values) -> tuple[Values, Values]:
-        """Displacement of the face by tractions on a window, and its motion of second order, (3 and 2, rows, columns) [mm].
-
-        The second is what the face does around the window too, where it is bent though nothing touches it: as far as it is thick.
-        """
-        layer, reach = self._layer, self._scene.gel.thickness_mm
-        further = [math.ceil(AROUND * reach / cell) for cell in layer.cell[::-1]]
-        around = tuple(
-            slice(max(0, part.start - more), min(count, part.stop + more))
-            for part, more, count in zip(place, further, layer.shape, strict=True)
-        )
-        inside = tuple(slice(part.start - whole.start, part.stop - whole.start) for part, whole in zip(place, around, strict=True))
-        shape = tuple(part.stop - part.start for part in around)
-        wide, tractions = layer.window(shape, window.thickness), np.zeros((3, *shape), np.float32)
-        tractions[0, *inside], tractions[1:, *inside] = p, q
-        moved = wide.moved(tractions[0], tractions[1:])
-        return moved[:, *inside], wide.bent(tractions[0], moved, self._rest[around])[:, *inside]
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
         """Rows and columns around some cells of a region and the next ones, which tell their slope: those of before, if they are enough and
