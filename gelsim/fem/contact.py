@@ -580,7 +580,7 @@ class RigidContact(SurfaceContact):
         super().__init__(slave_faces, whole, rest, law, device, points, symmetry)
         self.bend = wp.zeros(len(self.weight), dtype=wp.mat33d, device=device)
         self.field = field.grid(device)
-        self.turns_within = ROUNDING * field.spacing  # the radius of a rim, whose normal turns by a right angle along 1.6 of it
+        self.turns_within = ROUNDING * field.spacing  # no rim is sharper, and its normal turns by a right angle along 1.6 of it
 
     def _share(self) -> None:
         super()._share()

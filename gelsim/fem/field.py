@@ -42,18 +42,29 @@ from gelsim.shape.orientation import turned
 from gelsim.units import MM_PER_M
 
 Array = NDArray[np.float64]
-Distance = Callable[[Array], Array]
+Distance = Callable[[Array], tuple[Array, Array]]
+"""Of points (N, 3) [mm] in an object's frame: φ (N,) [mm] and its gradient (N, 3)."""
 
 ROUNDING = 0.75
-"""Radius of a right convex edge over the grid's spacing (tests/unit/test_fem_field.py measures it)."""
+"""Spacings in a rim's radius at least. With 1, and all of the spline's shrinking taken back, presses take up to four times as long and the
+membrane's teeth are half as large again, the gel's faces being 0.2 mm long there (docs/decisions/0004-rigid-objects-are-fields.md)."""
+SHAPED = 1.5
+LARGE = 3.0
+"""Spacings in the radius of a rim that is large enough to have more than ROUNDING."""
+EVERY_MM = 0.1 / ROUNDING
+"""Spacing that every part can have, that of the radius that is the default."""
 COARSE = 4
 """Spacings of the grid that tells where the surface is."""
 BAND = 3.0
 """Spacings beyond the support of a spline within which samples are exact."""
 KINKED = 0.1
-"""Δφ · spacing above which a sample is the mean over its cell."""
-CELL = np.stack(np.meshgrid(*[[-(12**-0.5), 12**-0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-"""Gauss points of a cell; 27 evenly spread ones are no better (docs/decisions/0004-rigid-objects-are-fields.md)."""
+"""Δφ · spacing above which there may be an edge near a sample."""
+LEAST = 0.1
+"""Fall of φ over the way down it, below which an edge is a thin wall, whose radius is what it has room for: of 11 degrees."""
+CUTS, CUT_MM = 8, 1e-4
+"""Planes that are tried for the lowest place in a ball, and how near to it is enough [mm]."""
+ON_FACE_MM = 1e-3
+"""Distance that single precision tells to a thousandth [mm]."""
 SHARPEST_MM = 0.04
 """Rim radius of an object that is to have none: a finer grid of a whole part does not pay."""
 CUBES_MM = 0.4, 0.1
@@ -211,18 +222,72 @@ def signed_distances(mesh: wp.uint64, points: wp.array(dtype=wp.vec3d), centre: 
 
 
 @wp.kernel(enable_backward=False)
-def distances(mesh: wp.uint64, points: wp.array(dtype=wp.vec3d), centre: wp.vec3d, reach: float, found: wp.array(dtype=wp.float64)):
+def ways(mesh: wp.uint64, points: wp.array(dtype=wp.vec3d), centre: wp.vec3d, reach: float, away: wp.array(dtype=wp.float64),
+         way: wp.array(dtype=wp.vec3d)):  # fmt: skip
+    """Distances, and unit vectors from the closest points; of points that single precision sees on a face by its normal."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, wp.vec3f(points[i] - centre), reach)
     near = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v)) + centre
-    found[i] = wp.length(points[i] - near)
+    away[i] = wp.length(points[i] - near)
+    way[i] = (points[i] - near) / wp.max(away[i], wp.float64(1e-12))
+    if away[i] < wp.float64(wp.static(ON_FACE_MM)):
+        normal = wp.vec3d(wp.mesh_eval_face_normal(mesh, query.face))
+        way[i] = normal * wp.sign(wp.dot(way[i], normal))
+
+
+Planes = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
+
+
+@wp.kernel(enable_backward=False)
+def lowest(value: wp.array(dtype=wp.vec4d), slope: wp.array(dtype=Planes), count: wp.array(dtype=wp.int32), radius: wp.float64,
+           least: wp.float64, place: wp.array(dtype=wp.vec3d), low: wp.array(dtype=wp.float64)):  # fmt: skip
+    """Where in a ball the highest of up to four planes, plus `least` times the way there, is lowest, and how low.
+
+    That is on one of them, where two meet, or where three do: there as far down as the ball lets, or as falling by `least` pays.
+    """
+    i = wp.tid()
+    low[i] = wp.float64(1e9)
+    for a in range(count[i]):
+        for b in range(a, count[i]):
+            for c in range(b, count[i]):
+                p = slope[i][b] - slope[i][a]
+                q = slope[i][c] - slope[i][a]
+                along = slope[i][a]
+                foot = wp.vec3d()
+                if b > a:
+                    foot = p * (value[i][a] - value[i][b]) / wp.dot(p, p)
+                    along -= p * wp.dot(p, along) / wp.dot(p, p)
+                if c > b:
+                    q -= p * wp.dot(p, q) / wp.dot(p, p)
+                    rest = wp.max(wp.dot(q, q), wp.float64(1e-12))
+                    foot += q * (value[i][a] - value[i][c] - wp.dot(slope[i][c] - slope[i][a], foot)) / rest
+                    along -= q * wp.dot(q, along) / rest
+                room = radius * radius - wp.dot(foot, foot)
+                steep = wp.length(along)
+                if room >= wp.float64(0.0) and (c == b or b > a):
+                    down = wp.sqrt(room)
+                    if steep < least:
+                        down = wp.min(down, wp.length(foot) * steep / wp.sqrt(least * least - steep * steep))
+                    there = foot - along * (down / wp.max(steep, wp.float64(1e-12)))
+                    high = wp.float64(-1e9)
+                    for k in range(count[i]):
+                        high = wp.max(high, value[i][k] + wp.dot(slope[i][k], there))
+                    high += least * wp.length(there)
+                    if high < low[i]:
+                        low[i] = high
+                        place[i] = there
 
 
 # ---------------------------------------------------------------------------------------------------------------- shapes
 def exact_distance(body: Body) -> Distance:
-    """The signed distance [mm] to an object's exact surface, of points (N, 3) [mm] in its frame."""
+    """The signed distance to an object's exact surface."""
     if shapes.has_profile(body):
-        return lambda points: MM_PER_M * shapes.signed_distance(body, points / MM_PER_M)
+
+        def closed_form(points: Array) -> tuple[Array, Array]:
+            value, slope = shapes.signed_distance(body, points / MM_PER_M)
+            return MM_PER_M * value, slope
+
+        return closed_form
     surface = shapes.object_surface(body, edge_length=np.inf, chord=0.2e-6)
     vertices = surface.vertices * MM_PER_M
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
@@ -233,20 +298,25 @@ def exact_distance(body: Body) -> Distance:
     )
     reach = float(np.linalg.norm(np.ptp(vertices, axis=0))) * 2.0
 
-    def found(kernel: wp.Kernel, points: Array) -> Array:
-        values = wp.zeros(len(points), dtype=wp.float64, device="cpu")
+    def found(kernel: wp.Kernel, points: Array, *values: wp.array) -> None:
         places = wp.array(points, dtype=wp.vec3d, device="cpu")
-        wp.launch(kernel, len(points), [triangles.id, places, wp.vec3d(*centre), reach, values], device="cpu")
-        return values.numpy()
+        wp.launch(kernel, len(points), [triangles.id, places, wp.vec3d(*centre), reach, *values], device="cpu")
 
-    def distance(points: Array) -> Array:
-        away = found(distances, points)
-        return away * _signs(points, away, lambda places: np.sign(found(signed_distances, places)))
+    def sides(points: Array) -> Array:
+        values = wp.zeros(len(points), dtype=wp.float64, device="cpu")
+        found(signed_distances, points, values)
+        return np.sign(values.numpy())
+
+    def distance(points: Array) -> tuple[Array, Array]:
+        away, way = wp.zeros(len(points), dtype=wp.float64, device="cpu"), wp.zeros(len(points), dtype=wp.vec3d, device="cpu")
+        found(ways, points, away, way)
+        sign = _signs(points, away.numpy(), sides)
+        return sign * away.numpy(), sign[:, None] * way.numpy()
 
     return distance
 
 
-def _signs(points: Array, away: Array, asked: Distance) -> Array:
+def _signs(points: Array, away: Array, asked: Callable[[Array], Array]) -> Array:
     """The sign at points that are so far `away` from a surface, asked of few of them: a winding number costs as much as seven distances.
 
     Two points that are nearer to each other than the sum of their distances have no surface between them.
@@ -267,16 +337,55 @@ def _signs(points: Array, away: Array, asked: Distance) -> Array:
     return signs
 
 
-def sampled(distance: Distance, low: Array, high: Array, spacing: float) -> DistanceField:
-    """A distance [mm] on a grid over a box (its corners [mm])."""
+def opened(distance: Distance, points: Array, radius: float) -> Array:
+    """The distance [mm] (N,), all its level sets rounded by a ball of a radius [mm] that rolls inside them (their opening).
+
+    f(x) = φ(c) + |c - x|, where c is the lowest place of φ + LEAST |c - x| within a radius of x. It is found by planes that touch φ (Kelley
+    1960); where φ is not convex one may cut off too much: if it lies above φ at a place asked later it goes.
+    """
+    value, slope = distance(points)
+    found, best = value.copy(), value.copy()
+    heights, slopes = np.zeros((len(points), 4)), np.zeros((len(points), 4, 3))
+    heights[:, 0], slopes[:, 0], count = value, slope, np.ones(len(points), np.int32)
+    left = np.arange(len(points))
+    for _ in range(CUTS):
+        places, low = wp.zeros(len(left), dtype=wp.vec3d, device="cpu"), wp.zeros(len(left), dtype=wp.float64, device="cpu")
+        planes = [wp.array(heights, dtype=wp.vec4d, device="cpu"), wp.array(slopes, dtype=Planes, device="cpu")]
+        wp.launch(lowest, len(left), [*planes, wp.array(count, device="cpu"), radius, LEAST, places, low], device="cpu")
+        step, far = places.numpy(), np.linalg.norm(places.numpy(), axis=1)
+        value, slope = distance(points[left] + step)
+        better = value + LEAST * far < best[left]
+        found[left[better]] = (value + far)[better]
+        best[left[better]] = (value + LEAST * far)[better]
+        open_ = best[left] - low.numpy() > CUT_MM
+        left, step, value, slope = left[open_], step[open_], value[open_], slope[open_]
+        if not len(left):
+            break
+        heights, slopes, count = heights[open_], slopes[open_], count[open_]
+        there = heights + np.einsum("nki,ni->nk", slopes, step)
+        there[(np.arange(4) >= count[:, None]) | (there > value[:, None] + CUT_MM)] = -np.inf
+        order = np.argsort(-there, axis=1)[:, :3]
+        count = np.minimum((there > -np.inf).sum(axis=1), 3).astype(np.int32) + 1
+        rows = np.arange(len(left))
+        heights[:, 1:], slopes[:, 1:] = np.take_along_axis(heights, order, 1), slopes[rows[:, None], order]
+        heights[:, 0], slopes[:, 0] = value - (slope * step).sum(axis=1), slope
+    return found
+
+
+def sampled(distance: Distance, low: Array, high: Array, spacing: float, radius: float) -> DistanceField:
+    """A distance [mm] on a grid over a box (its corners [mm]), its edges rounded by a radius [mm]."""
+    from scipy.ndimage import binary_dilation
+
     counts = np.ceil((high - low) / spacing / COARSE).astype(int) * COARSE + 1
     samples, exact = _near_surface(distance, low, counts, spacing)
-    kinked = np.argwhere(exact & (np.abs(_laplacian(samples)) > KINKED * spacing) & (np.abs(samples) < (BAND + 2.0) * spacing))
-    if len(kinked):
-        points = (low + spacing * kinked)[:, None, :] + spacing * CELL
-        samples[tuple(kinked.T)] = distance(points.reshape(-1, 3)).reshape(len(kinked), -1).mean(axis=1)
+    edges = exact & (_laplacian(samples) > KINKED * spacing)
+    near = binary_dilation(edges, np.ones((3, 3, 3)), int(np.ceil(radius / spacing)))
+    beside = np.argwhere(near & exact & (samples < radius) & (samples > -(BAND + 2.0) * spacing))
+    if len(beside):
+        samples[tuple(beside.T)] = opened(distance, low + spacing * beside, radius)
     bent = np.where(exact, _laplacian(samples), 0.0)
-    samples -= bent / 6.0 / (1.0 + (bent / spacing) ** 2)
+    shape = spacing * np.where(bent > 0.0, (SHAPED * radius / spacing) ** 2, 1.0)
+    samples -= bent / 6.0 / (1.0 + (bent / shape) ** 2)
     return DistanceField(samples.astype(np.float32), (float(low[0]), float(low[1]), float(low[2])), spacing)
 
 
@@ -298,19 +407,19 @@ def _near_surface(distance: Distance, low: Array, counts: NDArray[np.integer], s
     coarse_counts = (counts - 1) // COARSE + 1
 
     coarse_index = np.stack(np.meshgrid(*[np.arange(n) for n in coarse_counts], indexing="ij"), axis=-1).reshape(-1, 3)
-    coarse = distance(low + COARSE * spacing * coarse_index).reshape(coarse_counts)
+    coarse = distance(low + COARSE * spacing * coarse_index)[0].reshape(coarse_counts)
     samples = zoom(coarse, counts / coarse_counts, order=1)
     reach = (BAND + 2.0 + np.sqrt(3.0) * COARSE / 2.0) * spacing
     close = np.abs(coarse) < reach + np.sqrt(3.0) * COARSE * spacing / 2.0
     exact = np.asarray(zoom(close.astype(np.float32), counts / coarse_counts, order=1) > 0.0)
-    samples[exact] = distance(low + spacing * np.argwhere(exact))
+    samples[exact] = distance(low + spacing * np.argwhere(exact))[0]
     return samples, exact
 
 
 # ---------------------------------------------------------------------------------------------------------------- of a press
 STEP_MM = 0.5
 """Of the corners of the grid's box."""
-_SCHEMA = 2
+_SCHEMA = 3
 """Of kept fields: raised where the same shape is sampled differently."""
 MARGIN_MM = 0.6
 """Of the grid around the part of the object that the gel may come to."""
@@ -349,24 +458,30 @@ def kept_field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end
     """The field of an object over a box (its corners [mm]) in steps [mm]; of a file it is kept between runs. `stamp`: its `file_stamp`."""
     low, high = np.array(begin), np.array(end)
     if not shapes.of_file(body):
-        return sampled(exact_distance(body), low, high, step)
+        return sampled(exact_distance(body), low, high, step, rim_radius(body, step))
     surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
-    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, step]).tobytes())
+    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, step, rim_radius(body, step)]).tobytes())
     digest.update(surface.vertices.tobytes() + surface.faces.tobytes())
     path = cache_folder("fields") / f"{digest.hexdigest()[:32]}.npz"
     try:
         with np.load(path, allow_pickle=False) as kept:
             return DistanceField(kept["samples"], tuple(kept["origin"].tolist()), float(kept["spacing"]))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        field = sampled(exact_distance(body), low, high, step)
+        field = sampled(exact_distance(body), low, high, step, rim_radius(body, step))
     with contextlib.suppress(OSError), whole_file(path) as partial, partial.open("wb") as file:  # a cache that is full costs a second
         np.savez(file, samples=field.samples, origin=field.origin, spacing=field.spacing)
     return field
 
 
+def rim_radius(body: Body, step: float) -> float:
+    """Of its edges [mm], no sharper than a grid of a spacing [mm] resolves."""
+    return max(outlines.edge_radius(body) * MM_PER_M, ROUNDING * step)
+
+
 def spacing(body: Body) -> float:
     """Of the grid that gives edges their radius and follows what is round [mm]."""
-    finest = max(outlines.edge_radius(body) * MM_PER_M, SHARPEST_MM) / ROUNDING
+    radius = max(outlines.edge_radius(body) * MM_PER_M, SHARPEST_MM)
+    finest = min(radius / ROUNDING, max(radius / LARGE, EVERY_MM))
     round_parts = [outlines.fine_feature(body) * MM_PER_M / 2]
     if shapes.has_profile(body):
         round_parts += [abs(segment.radius) * MM_PER_M for segment in outlines.profile(body) if segment.radius]

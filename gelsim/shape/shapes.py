@@ -396,8 +396,8 @@ def has_profile(body: Body) -> bool:
     return SHAPES[body.shape].turned or SHAPES[body.shape].drawn
 
 
-def signed_distance(body: Body, points: Array) -> Array:
-    """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside.
+def signed_distance(body: Body, points: Array) -> tuple[Array, Array]:
+    """Distance (N,) [m] of points (N, 3) [m] from a turned or drawn object, negative inside, and its gradient (N, 3).
 
     A hollow counts as filled, unless the object is turned: only then can the gel reach it, and a thin wall pushes what is deep in it on.
     """
@@ -406,16 +406,30 @@ def signed_distance(body: Body, points: Array) -> Array:
         turn, shift = own_frame(body)
         points = (points - shift) @ turn
         segments = _hollow_outline(body)
-    across = np.hypot(points[:, 0], points[:, 1]) if SHAPES[body.shape].turned else np.abs(points[:, 0])
+    row = SHAPES[body.shape]
+    across = np.hypot(points[:, 0], points[:, 1]) if row.turned else np.abs(points[:, 0])
     flat = np.stack([across, points[:, 2]], axis=1)
-    away = np.min([np.linalg.norm(segment.project(flat)[0] - flat, axis=1) for segment in segments], axis=0)
+    found = [segment.project(flat) for segment in segments]
+    away = np.array([np.linalg.norm(near - flat, axis=1) for near, _ in found])
+    nearest, every = away.argmin(axis=0), np.arange(len(points))
     inside = sum(segment.crossings(flat) for segment in segments) % 2 == 1
-    distance = np.where(inside, -away, away)
-    if SHAPES[body.shape].turned:
-        return distance
-    end = np.abs(points[:, 1]) - sides(body)[1]
-    outside = np.hypot(np.maximum(distance, 0.0), np.maximum(end, 0.0))
-    return np.where((distance <= 0.0) & (end <= 0.0), np.maximum(distance, end), outside)
+    distance = np.where(inside, -1.0, 1.0) * away[nearest, every]
+    near, normal = (np.array(part)[nearest, every] for part in zip(*found, strict=True))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        way = np.where(np.abs(distance)[:, None] > 1e-12, (flat - near) / distance[:, None], normal)
+        outward = np.where(across[:, None] > 0.0, points[:, :2] / across[:, None], [1.0, 0.0])
+    if row.turned:
+        slope = np.column_stack([way[:, :1] * outward, way[:, 1]])
+    else:
+        slope = np.column_stack([way[:, 0] * np.where(points[:, 0] < 0.0, -1.0, 1.0), np.zeros(len(points)), way[:, 1]])
+        end = np.abs(points[:, 1]) - sides(body)[1]
+        along = np.where(points[:, 1] < 0.0, -1.0, 1.0)[:, None] * np.array([0.0, 1.0, 0.0])
+        outside = np.hypot(np.maximum(distance, 0.0), np.maximum(end, 0.0))
+        corner, beyond = (distance > 0.0) & (end > 0.0), end > distance
+        oblique = (slope * distance[:, None] + along * end[:, None]) / np.maximum(outside, 1e-300)[:, None]
+        slope = np.where(corner[:, None], oblique, np.where(beyond[:, None], along, slope))
+        distance = np.where(corner, outside, np.maximum(distance, end))
+    return distance, slope @ turn.T if is_reoriented(body) else slope
 
 
 # ---------------------------------------------------------------------------------------------------------------- gel and placement
