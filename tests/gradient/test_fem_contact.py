@@ -255,7 +255,7 @@ class RigidPair(Pair):
     def __init__(self, friction: float) -> None:
         super().__init__(friction, False)
         ball = exact_distance(Body(shape="hemisphere", rigid=True, radius_mm=5.0))
-        field = sampled(ball, np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 2.0]), 0.1)
+        field = sampled(ball, np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 2.0]), 0.1, 0.1)
         frame = np.vstack([np.zeros(3), RigidContact.SIDE * np.eye(3)]) - [0.0, 0.0, 0.05]
         self.x[len(self.gel) : len(self.gel) + 4] = frame
         corners = len(self.gel) + np.arange(4)

@@ -131,7 +131,7 @@ def test_an_open_scan_has_an_inside(side: str, sign: float, tmp_path: Path) -> N
     height = sign * 0.3 * np.cos(xy[:, 0]) * np.cos(xy[:, 1])
     assert low == 0.0
     for above in (-0.2, -0.02, 0.02, 0.2, 2.0):
-        found = distance(np.column_stack([xy, height + above]) - apex)
+        found, _ = distance(np.column_stack([xy, height + above]) - apex)
         assert ((found < 0) == (above > 0)).all()
         assert (np.abs(found) <= abs(above) + 5e-3).all()  # no farther than straight up or down
     press = pressed(body)
