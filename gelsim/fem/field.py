@@ -1,23 +1,25 @@
 """A rigid object as a signed distance: how far a point is from its surface, which way that is, and how the surface bends there.
 
-The distance φ [mm] to the exact shape, negative inside, is sampled on a grid in the object's own frame and read by cubic B-splines whose
-coefficients are the samples themselves. So φ has two continuous derivatives everywhere, and what contact asks for,
+The distance φ [mm] to the shape with its convex edges rounded, negative inside, is sampled on a grid in the object's own frame and read by
+cubic B-splines. So φ has two continuous derivatives everywhere, and what contact asks for,
 
     g = φ/|∇φ|,   n = ∇φ/|∇φ|,   ∇n = P ∇∇φ P/|∇φ|,  P = I - n nᵀ,
 
 depends on where a gel point is and on nothing that jumps: there are no faces, no pairs, and no wrong side of an acute corner.
 
-A spline through the samples would ring at a sharp edge. Taken as coefficients they are smoothed by the spline's kernel, which leaves planes
-as they are and gives a convex right edge the radius ROUNDING · spacing: the grid is as fine as the rim radius asks. A smooth surface of
-curvature κ would shrink by spacing² κ/3; that is taken back where the curvature is one of the shape's (weight 1/(1 + (Δφ spacing)²)) and
-stays where it is an edge's. Where φ has a kink each sample is the mean over its cell: with point samples an oblique edge beats with the
-grid (by 1.6 % of the spacing; so by 0.4 %, tests/unit/test_fem_field.py).
+Edges are rounded by a ball of the rim's radius that rolls inside the shape, within all level sets at once (`opened`): an edge is an arc, a
+corner a ball, and no kink is left near them, as there is in the distance of the rounded shape itself a radius below its edge.
+
+The spline's coefficients are the samples, less what it would shrink, spacing² Δφ/6. That is taken back where the curvature is one of the
+shape's, and stays where it is a concave edge's, at which a spline through the samples would ring. A rim of fewer spacings than LARGE keeps
+some of it too: it is blunter than it is said to be, and gentler to the gel's faces.
 
 The shape: profiles of lines and arcs are known in closed form (gelsim.shape.shapes); others by the closest point of their triangles, with
 the sign of the winding number (Barill et al. 2018, by Warp), which holds at acute corners and for several bodies. Open scans are closed
 before (gelsim.shape.mesh_file): inside a bare sheet the winding number has the wrong sign.
 
-Left out: what lies farther from the surface than BAND, where φ is known to a coarse grid's accuracy only; concave edges are rounded too.
+Left out: what lies farther from the surface than BAND, where φ is known to a coarse grid's accuracy only. Concave edges are blurred. Of
+a stair of layers thinner than the radius up to 0.4 of it too much is taken off, where planes cut off too much (`opened`).
 """
 
 from __future__ import annotations
@@ -46,13 +48,11 @@ Distance = Callable[[Array], tuple[Array, Array]]
 """Of points (N, 3) [mm] in an object's frame: φ (N,) [mm] and its gradient (N, 3)."""
 
 ROUNDING = 0.75
-"""Spacings in a rim's radius at least. With 1, and all of the spline's shrinking taken back, presses take up to four times as long and the
-membrane's teeth are half as large again, the gel's faces being 0.2 mm long there (docs/decisions/0004-rigid-objects-are-fields.md)."""
-SHAPED = 1.5
+"""Spacings in a rim's radius at least. Finer ones cost presses a third more iterations (docs/decisions/0004-rigid-objects-are-fields.md)."""
 LARGE = 3.0
-"""Spacings in the radius of a rim that is large enough to have more than ROUNDING."""
+"""Spacings in a radius that is large enough for more than ROUNDING."""
 EVERY_MM = 0.1 / ROUNDING
-"""Spacing that every part can have, that of the radius that is the default."""
+"""Spacing that every part can have: that of the radius that is the default."""
 COARSE = 4
 """Spacings of the grid that tells where the surface is."""
 BAND = 3.0
@@ -384,7 +384,7 @@ def sampled(distance: Distance, low: Array, high: Array, spacing: float, radius:
     if len(beside):
         samples[tuple(beside.T)] = opened(distance, low + spacing * beside, radius)
     bent = np.where(exact, _laplacian(samples), 0.0)
-    shape = spacing * np.where(bent > 0.0, (SHAPED * radius / spacing) ** 2, 1.0)
+    shape = spacing * np.where(bent > 0.0, (radius / (ROUNDING * spacing)) ** 2, 1.0)
     samples -= bent / 6.0 / (1.0 + (bent / shape) ** 2)
     return DistanceField(samples.astype(np.float32), (float(low[0]), float(low[1]), float(low[2])), spacing)
 

@@ -100,7 +100,7 @@ def _fault(segments: Profile, within: float, convex: bool) -> str:
 
 
 def rounded(segments: Profile, radius: float) -> Profile:
-    """A rigid object's profile, its tip and the corners between its lines rounded by arcs; its apex at z = 0. (Fields blur: `fem.field`.)
+    """A rigid object's profile, its tip and the corners between its lines rounded by arcs; its apex at z = 0.
 
     Args:
         radius: [m]. No arc reaches beyond the middle of a line.

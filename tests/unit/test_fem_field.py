@@ -176,8 +176,8 @@ def outside(turned: float, angle: float, radius: float, spacing: float) -> Array
 @pytest.mark.parametrize("turned", [0.0, 17.0, 31.0, 45.0])
 @pytest.mark.parametrize("angle", [60.0, 90.0, 120.0])
 def test_an_edge_is_an_exact_fillet_whichever_way_it_lies(turned: float, angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A spline takes h²/6 Δf/|∇f| off. Taken back, half of that is left where Δf jumps, at most: at the arc's ends to 1/(r cos²) of half the
-    angle, where f = (y - √(r² - x²)) cos becomes a plane."""
+    """A spline takes h²/6 Δf/|∇f| off. Taken back, half of that is left where Δf jumps, at most: at the arc's ends, where
+    f = (y - √(r² - x²)) cos becomes a plane, from 1/(r cos²) of half the angle."""
     radius = 3 * SPACING
     bound = SPACING**2 / (12 * radius * np.cos(np.deg2rad(angle / 2)) ** 2)
     assert np.abs(outside(turned, angle, radius, SPACING)).max() < bound < 0.04 * radius
