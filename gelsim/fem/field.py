@@ -48,7 +48,7 @@ Distance = Callable[[Array], tuple[Array, Array]]
 """Of points (N, 3) [mm] in an object's frame: φ (N,) [mm] and its gradient (N, 3)."""
 
 ROUNDING = 0.75
-"""Spacings in a rim's radius at least. Finer ones cost presses a third more iterations (docs/decisions/0004-rigid-objects-are-fields.md)."""
+"""Spacings in a rim's radius at least. More cost presses iterations, and teeth (docs/decisions/0004-rigid-objects-are-fields.md)."""
 LARGE = 3.0
 """Spacings in a radius that is large enough for more than ROUNDING."""
 EVERY_MM = 0.1 / ROUNDING
