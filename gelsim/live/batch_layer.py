@@ -37,7 +37,7 @@ def launch(kernel: wp.Kernel, *fields: Tensor) -> None:
     arrays = []
     for field in fields:
         whole = torch.view_as_real(field) if field.is_complex() else field
-        arrays.append(wp.from_torch(whole, dtype=wp.vec2f if field.is_complex() else wp.float32, requires_grad=False))
+        arrays.append(wp.from_torch(whole, dtype=wp.vec2f if field.is_complex() else wp.float32, requires_grad=False, return_ctype=True))
     device = fields[0].device
     wp.launch(kernel, (fields[-1].shape[0], fields[-1].shape[-1]), arrays, device=str(device), stream=stream(device))
 
