@@ -19,7 +19,6 @@ from scipy import ndimage
 
 import gelsim
 from gelsim.bench.mesh_parts import mesh_file
-from gelsim.calibrate.lens import Lens
 from gelsim.calibrate.photos import read_photos
 from gelsim.calibrate.pictures import draw_comparison
 from gelsim.optics.camera import seen_places
@@ -71,7 +70,8 @@ def main() -> None:
     (options.out / "presses.csv").write_text("file,radius_mm\nother_2.jpg,1\n", encoding="utf-8")
     read = read_photos(options.out)  # as the sensor was fitted: without the lens's distortion
     photos, size = [read.no_contact, read.pictures[0]], read.size
-    middle, *ends = Lens(read.lens_k, size).straight(np.array([MIDDLE, *ENDS], float))
+    assert read.lens is not None
+    middle, *ends = read.lens.straight(np.array([MIDDLE, *ENDS], float))
     layers = {"sensor": {"preset": options.sensor}, "object": body}, {"render": {"mode": "path", "spp": 64, "resolution": list(size)}}
     place = (seen_places(build_scene(*layers), middle[None])[0] / MM).tolist()
     press = {"depth_mm": DEPTH_MM, "force_n": "none", "frames": 2, "offset_mm": place}

@@ -1,4 +1,4 @@
-"""A lens's distortion, seen by a grid of markers and taken out of photographs.
+"""A lens's distortion, seen by a grid of markers (by edges: `calibrate.edges`) and taken out of photographs.
 
 A point at u from the picture's middle, in half diagonals, as a pinhole would show it, is seen at u (1 + k |u|²) (Brown 1971, first radial
 term): k > 0 is a pincushion, k < 0 a barrel. The grid's dots lie where a homography and k take them, by least squares; k is believed from
@@ -32,6 +32,10 @@ class Lens:
     k: float
     size: tuple[int, int]
     """Width and height [px]."""
+    sd: float = 0.0
+    """Standard deviation of k; 0 of one that was given."""
+    by: str = "photos.toml"
+    """What told of it."""
 
     @cached_property
     def scale(self) -> float:
@@ -52,12 +56,7 @@ class Lens:
 
     def straight(self, seen: Array) -> Array:
         """The other way about, by Newton's method along the radius."""
-        away = (seen - self._middle) / self._half
-        size = np.linalg.norm(away, axis=-1, keepdims=True)
-        found = size.copy()
-        for _ in range(20):
-            found = found - (found * (1 + self.k * found**2) - size) / (1 + 3 * self.k * found**2)
-        return self._middle + away * np.where(size > 0, found / np.where(size > 0, size, 1), 1) * self._half / self.scale
+        return self._middle + unbent((seen - self._middle) / self._half, self.k) * self._half / self.scale
 
     def straightened(self, levels: Array) -> Array:
         """A photograph (H, W, 3) as a pinhole would have seen it."""
@@ -81,11 +80,20 @@ class Lens:
         return self._middle + away * (1 + self.k * (away**2).sum(axis=-1, keepdims=True)) * self._half
 
 
+def unbent(seen: Array, k: float) -> Array:
+    """Places (..., 2) from the middle [half diagonals] as a pinhole would show what is seen at `seen`."""
+    size = np.linalg.norm(seen, axis=-1, keepdims=True)
+    found = size.copy()
+    for _ in range(20):
+        found = found - (found * (1 + k * found**2) - size) / (1 + 3 * k * found**2)
+    return seen * np.where(size > 0, found / np.where(size > 0, size, 1), 1)
+
+
 def fitted_lens(dots: Array, size: tuple[int, int]) -> Lens | None:
     """Of the dots (K, 2) (column, row) [px] of a grid; None where they do not tell."""
     from scipy.optimize import least_squares
 
-    places, numbers = _numbered(dots, np.array(size) / 2)
+    places, numbers = numbered(dots, np.array(size) / 2)
     if len(places) < FEWEST:
         return None
     middle, half = np.array(size) / 2, float(np.hypot(*size)) / 2
@@ -101,10 +109,10 @@ def fitted_lens(dots: Array, size: tuple[int, int]) -> Lens | None:
     freedom = len(fit.fun) - len(fit.x)
     spread = np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[8, 8] * (fit.fun**2).sum() / freedom)
     k = float(fit.x[8])
-    return Lens(k, size) if abs(k) > SURE * spread and RANGE[0] <= k <= RANGE[1] else None
+    return Lens(k, size, float(spread), "markers") if abs(k) > SURE * spread and RANGE[0] <= k <= RANGE[1] else None
 
 
-def _numbered(dots: Array, middle: Array) -> tuple[Array, Array]:
+def numbered(dots: Array, middle: Array) -> tuple[Array, Array]:
     """The dots that are reached from the one in the middle, neighbour by neighbour, (N, 2), and their numbers along the grid, (N, 2)."""
     from scipy.spatial import KDTree
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gelsim.calibrate.dent import BALL
 from gelsim.calibrate.dots import blobs
+from gelsim.calibrate.edges import lens_of_edges
 from gelsim.calibrate.lens import RANGE, Lens, fitted_lens
 from gelsim.calibrate.reading import SUFFIXES, Reader
 from gelsim.data.corners import Corners, check_corners
@@ -72,8 +73,13 @@ class Photos:
     mm_per_px: float | None
     gel: Gel | None
     markers: bool
-    lens_k: float = 0.0
-    """The distortion that was taken out of all pictures (`calibrate.lens`)."""
+    lens: Lens | None = None
+    """Its distortion was taken out of all pictures."""
+
+    @property
+    def lens_choice(self) -> dict[str, Any]:
+        """For reports: what was taken out, its standard deviation, and what told of it."""
+        return {"lens_k": round(self.lens.k, 4), "lens_k_sd": self.lens.sd, "lens_by": self.lens.by} if self.lens else {"lens_k": 0.0}
 
     @property
     def size(self) -> tuple[int, int]:
@@ -135,17 +141,18 @@ def read_photos(folder: Path) -> Photos:
         mm_per_px=reader.mm_per_px or _straight_scale(settings.get("mm_per_px"), reader.lens),
         gel=settings.get("gel"),
         markers=settings.get("markers", False),
-        lens_k=reader.lens.k if reader.lens else 0.0,
+        lens=reader.lens,
     )
 
 
 def _lens(settings: dict[str, Any], photo: Array) -> Lens | None:
-    """As given, else as the markers of a whole photograph (H, W, 3) show it."""
+    """As given, else as markers of a whole photograph (H, W, 3) show it, or of one without any the gel's edges."""
     size, k = (photo.shape[1], photo.shape[0]), settings.get("lens_k")
     if k is not None:
         return Lens(k, size) if k else None
-    whole = not {"crop_px", "corners_px"} & settings.keys()
-    return fitted_lens(blobs(photo)[0], size) if settings.get("markers") and whole else None
+    if "crop_px" in settings:
+        return None
+    return fitted_lens(blobs(photo)[0], size) if settings.get("markers") else lens_of_edges(photo, settings.get("corners_px"))
 
 
 def _straight_scale(mm_per_px: float | None, lens: Lens | None) -> float | None:
@@ -227,8 +234,8 @@ def _check_cut(table: dict[str, Any], path: Path) -> None:
         table["corners_px"] = np.array(pairs)
         check_corners(table["corners_px"], f"{path}: corners_px")
     if "lens_k" in table:
-        if "crop_px" in table or "corners_px" in table:
-            raise SceneError(f"{path}: lens_k is of whole photographs: take crop_px and corners_px away, or straighten the pictures before")
+        if "crop_px" in table:
+            raise SceneError(f"{path}: lens_k is of whole photographs: take crop_px away, or straighten the pictures before")
         if not RANGE[0] <= table["lens_k"] <= RANGE[1]:
             raise SceneError(f"{path}: lens_k = {table['lens_k']}: allowed is {RANGE[0]:g} … {RANGE[1]:g}")
     if "corners_mm" in table:

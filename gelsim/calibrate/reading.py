@@ -40,13 +40,13 @@ class Reader:
     """Left, top, width and height [px] of what is kept."""
     corners: Corners | None = None
     lens: Lens | None = None
-    """Its distortion is taken out; then there is neither crop nor corners."""
+    """Its distortion is taken out; then nothing is cropped."""
     _open: dict[Path, NDArray] = field(default_factory=dict)
 
     @property
     def mm_per_px(self) -> float | None:
         """Of the picture that is set upright by corners whose size is known."""
-        return self.corners.mm_per_px if self.corners else None
+        return self._upright.mm_per_px if self._upright else None
 
     def levels(self, name: str) -> Array:
         """Levels 0 … 255 on the sRGB scale, shape (H, W, 3).
@@ -60,7 +60,7 @@ class Reader:
             raise SceneError(f"{self.folder / name}: holds values that are not finite")
         values = values[..., ::-1] if self.order == "bgr" else values
         levels = 255 * np.asarray(srgb_tone(values) if linear else values, np.float64)
-        if self.lens is not None and levels.shape[1::-1] == self.lens.size:
+        if self.lens is not None and self.corners is None and levels.shape[1::-1] == self.lens.size:
             levels = self.lens.straightened(levels)
         levels = self._cut(levels, name)
         self._check_size(levels, name)
@@ -68,11 +68,11 @@ class Reader:
 
     def place(self, point: Array) -> Array:
         """(column, row) of the photograph [px] as (column, row) of the picture that is worked with, shape (2,)."""
-        if self.corners is not None:
-            moved = np.linalg.inv(self.corners.homography) @ [*point, 1.0]
-            return moved[:2] / moved[2]
         if self.lens is not None:
-            return self.lens.straight(np.asarray(point))
+            point = self.lens.straight(np.asarray(point))
+        if self._upright is not None:
+            moved = np.linalg.inv(self._upright.homography) @ [*point, 1.0]
+            return moved[:2] / moved[2]
         return point - self.crop[:2] if self.crop else point
 
     def scale(self, point: Array) -> float:
@@ -90,6 +90,13 @@ class Reader:
             if array.ndim == 4:
                 names += [f"{file.name}:{key}:{index}" for index in range(len(array))]
         return names
+
+    @property
+    def _upright(self) -> Corners | None:
+        """The corners where a pinhole would have seen them."""
+        if self.corners is None or self.lens is None:
+            return self.corners
+        return Corners(self.lens.straight(self.corners.places), self.corners.size_mm)
 
     # ---- from the file ----
 
@@ -178,11 +185,14 @@ class Reader:
     def _set_upright(self, levels: Array) -> Array:
         from scipy.ndimage import map_coordinates
 
-        assert self.corners is not None
-        wide, high = self.corners.size
+        upright = self._upright
+        assert upright is not None
+        wide, high = upright.size
         row, column = np.mgrid[:high, :wide] + 0.5
-        x, y, w = np.einsum("ij,jhw->ihw", self.corners.homography, np.stack([column, row, np.ones_like(row)]))
-        at = np.stack([y / w - 0.5, x / w - 0.5])
+        x, y, w = np.einsum("ij,jhw->ihw", upright.homography, np.stack([column, row, np.ones_like(row)]))
+        seen = np.stack([x / w, y / w], axis=-1)
+        seen = self.lens.seen(seen) if self.lens else seen
+        at = np.stack([seen[..., 1] - 0.5, seen[..., 0] - 0.5])
         return np.stack([np.clip(map_coordinates(levels[..., c], at, order=3, mode="nearest"), 0, 255) for c in range(3)], axis=-1)
 
 

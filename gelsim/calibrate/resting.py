@@ -47,6 +47,7 @@ def at_rest(photos: Photos, folder: outputs.ResultFolder, out: Path, sensor: str
     errors = picture_errors(shown, photos.no_contact, photos.counted)
     report["scores"] = {"no_contact": {"count": 1, "whole": errors, "crop": errors}}
     report["choices"] = {"start": sensor, "exposure": scene.camera.exposure, "white_balance": scene.camera.white_balance}
+    report["choices"] |= photos.lens_choice
     plain = outputs.plain_json(report)
     assert isinstance(plain, dict)
     folder.write("report.json", lambda path: outputs.write_report(path, plain))

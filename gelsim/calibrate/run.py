@@ -569,7 +569,7 @@ def _report(job: _Job, state: _State, places: Array, press_sd: Array, shown_rest
         },
         "choices": {
             "start": job.base.sensor.preset,
-            "lens_k": round(photos.lens_k, 4),
+            **photos.lens_choice,
             "gel": "given" if photos.gel else "thickness and dome fitted, size and hardness of the start",
             "test_presses": "place and depth found from their own photograph with the sensor held" if photos.test.any() else None,
             "score_spp": SCORE_SPP,

@@ -73,7 +73,8 @@ def test_photographs_are_straightened_where_markers_show_how(tmp_path: Path) -> 
         return read_photos(tmp_path)
 
     found, told, plain = read("markers = true"), read(f"lens_k = {k}"), read("markers = true\nlens_k = 0")
-    assert found.lens_k == pytest.approx(k, abs=0.02) and told.lens_k == k and plain.lens_k == 0.0
+    assert found.lens and told.lens and plain.lens is None
+    assert found.lens.k == pytest.approx(k, abs=0.02) and found.lens.by == "markers" and told.lens.k == k
     lens = Lens(k, SIZE)
     assert told.hints[0, :2] == pytest.approx(lens.straight(np.array(mark))) and plain.hints[0, :2] == pytest.approx(mark)
     assert told.mm_per_px == pytest.approx(0.05 * lens.scale)
@@ -82,9 +83,9 @@ def test_photographs_are_straightened_where_markers_show_how(tmp_path: Path) -> 
     assert fitted_lens(blobs(told.no_contact)[0], SIZE) is None
     crooked = fitted_lens(blobs(read("lens_k = -0.1").no_contact)[0], SIZE)
     assert crooked is not None and crooked.k > k
-    assert read("markers = true\ncrop_px = [0, 0, 100, 100]").lens_k == 0.0
+    assert read("markers = true\ncrop_px = [0, 0, 100, 100]").lens is None
     Image.fromarray(dotted(0.0)).save(tmp_path / "rest.png")
-    assert read("markers = true").lens_k == 0.0
+    assert read("markers = true").lens is None
     for wrong, said in (
         ("lens_k = 3", "allowed is -0.14"),
         ('lens_k = "dots"', "lens_k"),

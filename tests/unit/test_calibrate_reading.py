@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -189,3 +190,4 @@ def test_a_no_contact_photograph_alone_makes_a_preset_look_right_at_rest(folder,
     assert scene.camera.resolution == (128, 96) and scene.lights == preset.lights and not scene.camera.rest_smooth
     # Rounding to 8 bits, twice.
     assert "MSE 0." in capsys.readouterr().out
+    assert json.loads((out.parent / "report.json").read_text())["choices"]["lens_k"] == 0
