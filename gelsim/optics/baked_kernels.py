@@ -19,6 +19,8 @@ PIECES = 3
 """A light's long side is cut in so many for its soft shadow."""
 LINES, STEPS = 128, 160
 """Of the polar grid about a piece of a light."""
+CELLS_A_SHADOW = 2
+"""Of inter-reflection, along a side: with one in each cell pictures are no nearer to `path`."""
 DIRECTIONS = 8
 REACHES = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 33)
 """Of the samples along a direction of inter-reflection [cells]: near parts fill most of the view."""
@@ -36,6 +38,8 @@ class Layout:
     height: int
     shade: int
     """Pixels along a side for one shadow value, and for one start of Newton's method."""
+    lit: int
+    """Pixels along a side for one value of the light that is not the coat's pattern."""
     columns: int
     """Of the membrane's grid."""
     rows: int
@@ -106,10 +110,11 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
         frame, cell = _lanes(ar, frames, cells)
         lit = _local(ar, st, t, below)
         if horizons is not None:
-            visible = _visible(ar, st, t, horizons, frames, cells, below)
-            slots = _light_slots(st.samples // PIECES) // PACKET
-            spot = ar.range(frames * cells)
-            lit = _shadowed(st, lit, [share for g in range(slots) for share in ar.packet(visible, spot * slots + g, PACKET)])
+            some = coarse_size(*st.cells, CELLS_A_SHADOW)
+            visible = _visible(ar, st, t, horizons, frames, some[0] * some[1], below, CELLS_A_SHADOW)
+            line = cell // st.cells[0]
+            u, v = (ar.real(place) * (1 / CELLS_A_SHADOW) for place in (cell - line * st.cells[0], line))
+            lit = _shadowed(st, lit, _mixed_shades(ar, st, visible, grid_corners(ar, u, v, *some, frame * (some[0] * some[1]))))
         arriving = _arriving(ar, st, t, below, _coloured(ar, t, lit), frames)
 
     # At every few pixels: the start of Newton's method, and shadows.
@@ -119,29 +124,40 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
     starts = ar.interleave([coarse.column, coarse.row])
     shades = _visible(ar, st, t, horizons, frames, across * down, coarse) if horizons is not None else None
 
-    frame, pixel = _lanes(ar, frames, st.width * st.height)
+    def met(name: str, step: int) -> tuple[Seen, list[tuple[Values, Values]], Values]:
+        """By the rays of every step-th pixel: the membrane, their corners among the coarse ones, and their frames."""
+        columns, rows = coarse_size(st.width, st.height, step)
+        frame, lane = _lanes(ar, frames, columns * rows)
+        corners = _among(ar, lane, columns, step / st.shade, (across, down), frame)
+        start = mixed(ar, starts, corners, 2)
+        return meet(ar, st, places, normals, frame, ar.packet(t[name], lane, 4), (start[0], start[1]), 1), corners, frame
+
+    def light(seen: Seen, corners: list[tuple[Values, Values]], frame: Values) -> list[Values]:
+        """Red, green, blue and the markers' shade."""
+        lit = _local(ar, st, t, seen)
+        if shades is not None:
+            lit = _shadowed(st, lit, _mixed_shades(ar, st, shades, corners))
+        colour = _coloured(ar, t, lit)
+        if arriving is not None:
+            u = (seen.x * (1 / st.size[0]) + 0.5) * float(st.cells[0] - 1)
+            v = (seen.y * (1 / st.size[1]) + 0.5) * float(st.cells[1] - 1)
+            first_column, first_row, columns, rows = st.viewed
+            more = mixed(ar, arriving, grid_corners(ar, u - first_column, v - first_row, columns, rows, frame * (columns * rows)), 4)
+            colour = [colour[i] + more[i] for i in range(3)]
+        if not (st.texels[0] and st.marked):
+            return [*colour, 0.0 * colour[0]]
+        size = st.field_shape[4]
+        return [*colour, _mix_values(ar, t["paint"], grid_corners(ar, *_normal_place(st, seen), size, size, frame * 0))]
+
+    seen, corners, frame = met("full", 1)
+    pixel = ar.range(frames * st.width * st.height) - frame * (st.width * st.height)
     row = pixel // st.width
     column = pixel - row * st.width
-    shift = 0.5 / st.shade - 0.5
-    corners = grid_corners(
-        ar, ar.real(column) * (1 / st.shade) + shift, ar.real(row) * (1 / st.shade) + shift, across, down, frame * (across * down)
-    )
-    start = mixed(ar, starts, corners, 2)
-    seen = meet(ar, st, places, normals, frame, ar.packet(t["full"], pixel, 4), (start[0], start[1]), 1)
-    lit = _local(ar, st, t, seen)
-    if shades is not None:
-        slots = _light_slots(st.samples // PIECES) // PACKET
-        visible = []
-        for g in range(slots):
-            visible += mixed(ar, shades, [(index * slots + g, weight) for index, weight in corners], PACKET)
-        lit = _shadowed(st, lit, visible)
-    colour = _coloured(ar, t, lit)
-    if arriving is not None:
-        u = (seen.x * (1 / st.size[0]) + 0.5) * float(st.cells[0] - 1)
-        v = (seen.y * (1 / st.size[1]) + 0.5) * float(st.cells[1] - 1)
-        first_column, first_row, columns, rows = st.viewed
-        more = mixed(ar, arriving, grid_corners(ar, u - first_column, v - first_row, columns, rows, frame * (columns * rows)), 4)
-        colour = [colour[i] + more[i] for i in range(3)]
+    if st.lit > 1:
+        fewer = coarse_size(st.width, st.height, st.lit)
+        *colour, paint = mixed(ar, ar.interleave(light(*met("lit", st.lit))), _among(ar, pixel, st.width, 1 / st.lit, fewer, frame), 4)
+    else:
+        *colour, paint = light(seen, corners, frame)
     if st.texels[0]:
         columns, rows = st.texels
         u = seen.column * (columns / (st.columns - 1)) - 0.5
@@ -149,8 +165,6 @@ def draw(ar: Arrays, st: Layout, t: dict[str, Any], places: Values, normals: Val
         coat = mixed(ar, t["texture"], grid_corners(ar, u, v, columns, rows, frame * 0), 2)
         share = coat[0]
         if st.marked:
-            size = st.field_shape[4]
-            paint = _mix_values(ar, t["paint"], grid_corners(ar, *_normal_place(st, seen), size, size, frame * 0))
             share = share + coat[1] * paint
         colour = [a * share for a in colour]
     nothing = seen.missed
@@ -167,6 +181,13 @@ def _lanes(ar: Arrays, frames: int, each: int) -> tuple[Values, Values]:
     lane = ar.range(frames * each)
     frame = lane // each
     return frame, lane - frame * each
+
+
+def _among(ar: Arrays, lane: Values, columns: int, step: float, size: tuple[int, int], frame: Values) -> list[tuple[Values, Values]]:
+    """`grid_corners` of every lane of a picture, `columns` wide, in a coarser one of `size`: one of its pixels is 1/step wide there."""
+    row, shift = lane // columns, 0.5 * step - 0.5
+    u, v = (ar.real(place) * step + shift for place in (lane - row * columns, row))
+    return grid_corners(ar, u, v, *size, frame * (size[0] * size[1]))
 
 
 def _mix_values(ar: Arrays, source: Values, corners: list[tuple[Values, Values]]) -> Values:
@@ -272,6 +293,13 @@ def _local(ar: Arrays, st: Layout, t: dict[str, Any], seen: Seen) -> list[Values
     return total
 
 
+def _mixed_shades(ar: Arrays, st: Layout, visible: Values, corners: list[tuple[Values, Values]]) -> list[Values]:
+    """Of `_visible`, between its places."""
+    slots = _light_slots(st.samples // PIECES) // PACKET
+    groups = (mixed(ar, visible, [(index * slots + g, weight) for index, weight in corners], PACKET) for g in range(slots))
+    return [share for group in groups for share in group]
+
+
 def _shadowed(st: Layout, lit: list[Values], visible: list[Values]) -> list[Values]:
     return [a * visible[max(light, 0)] for a, light in zip(lit, st.light_of, strict=True)]
 
@@ -313,8 +341,9 @@ def _line_corners(ar: Arrays, along: Values, line: Values, stride: int, offset: 
     return [(first, (1 - s) * (1 - r)), (first + stride, s * (1 - r)), (first + 1, (1 - s) * r), (first + (stride + 1), s * r)]
 
 
-def _visible(ar: Arrays, st: Layout, t: dict[str, Any], horizons: Values, frames: int, each: int, seen: Seen) -> Values:
-    """The visible share of each light, of what the tangent plane leaves of it; whole packets of lights for each of frames * each places."""
+def _visible(ar: Arrays, st: Layout, t: dict[str, Any], horizons: Values, frames: int, each: int, seen: Seen, step: int = 1) -> Values:
+    """The visible share of each light, of what the tangent plane leaves of it; whole packets of lights for each of frames * each places:
+    of those seen, or with a `step` of those of the cells over the gel every step-th along both sides."""
     lines = st.samples * LINES
     lights = st.samples // PIECES
     places = ar.interleave([seen.x, seen.y, seen.z, seen.z])
@@ -325,6 +354,10 @@ def _visible(ar: Arrays, st: Layout, t: dict[str, Any], horizons: Values, frames
     spot = lane // slots
     frame = spot // each
     light = ar.minimum(lane - spot * slots, lights - 1)
+    if step > 1:
+        across = coarse_size(*st.cells, step)[0]
+        row = (spot - frame * each) // across
+        spot = frame * (st.cells[0] * st.cells[1]) + step * (row * st.cells[0] + spot - frame * each - row * across)
     px, py, pz, _ = ar.packet(places, spot, 4)
     slope_x, slope_y = ar.packet(slopes, spot, 2)
     total = 0.0 * px

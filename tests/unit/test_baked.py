@@ -93,6 +93,31 @@ def test_heights_are_those_of_the_triangles(variant):
     assert np.abs(height - height_map(scene, membrane)).max() < 1e-6
 
 
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.name)
+def test_light_between_pixels_is_that_of_each(variant, monkeypatch):
+    """Where pixels are finer than LIT_MM light is drawn for some of them: here one in 3 along a side, each 19 µm wide."""
+    scene = flat_scene(camera=Camera(field_mm=(3.0, 2.25)))
+    membrane, steps = dragged(scene), []
+
+    def drawn(lit_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        monkeypatch.setattr(baked, "LIT_MM", lit_mm)
+        renderer = BakedRenderer(scene, linear_field(), variant, indirect=False, shadows=False)
+        picture, height = renderer.picture(membrane)
+        assert renderer._layout is not None
+        steps.append(renderer._layout.lit)
+        return picture[..., 0].astype(float), height
+
+    (fine, height), (some, same) = drawn(1e-6), drawn(0.06)
+    assert steps == [1, 3] and np.array_equal(height, same)
+    # Between values `h` apart a line is off by h²/8 of the second derivative, along each side; that is the largest of any neighbour's.
+    # Normals are bilinear in cells of 0.08 mm: at a kink, twice what a parabola has.
+    bend = sum(np.abs(np.diff(fine, 2, axis=axis)).max() for axis in (0, 1))
+    inner = (slice(3, -3), slice(3, -3))
+    assert np.abs(some - fine)[inner].max() < 2 * 9 / 8 * bend
+    # Planted: light a pixel aside.
+    assert np.abs(np.roll(some, 1, axis=1) - fine)[inner].max() > 2 * 9 / 8 * bend
+
+
 def test_no_gel_no_light():
     scene = flat_scene(camera=Camera(field_mm=(12.0, 9.0)))
     picture, height = BakedRenderer(scene, even_field(), SCALAR, indirect=False).picture(rest_membrane(scene))
