@@ -35,6 +35,26 @@ def test_no_contact_is_mid_grey_in_the_middle():
     assert next(iter(render_frames(dark, [rest_membrane(dark)]))).image[16:32, 24:40].mean() < 95
 
 
+def test_a_dent_of_the_fingertip_has_its_lamps_on_its_flanks():
+    """As photographs of this kind of sensor are described (no public one is known): red from one side, white-blue from the one that faces
+    it, the crown as grey as at rest; a ball of 4 mm, 0.8 mm deep."""
+    table = {"sensor": {"preset": "fingertip2017"}, "render": {"resolution": [160, 120], "spp": 16}, "markers": {"layout": "none"}}
+    scene = build_scene(table)
+    radius = effective_radius(np.array(4.0), curvature_of(scene.gel))
+    dents = solve_family(scene.gel, np.array([float(radius)]), scene.gel.thickness_mm)
+    dented = drawing.dented(scene, dents, 4.0, np.array([0, 0, 0.8, 0, 0]))
+    rest, pressed = (frame.image.astype(float) for frame in render_frames(scene, [rest_membrane(scene), dented]))
+    row, column = np.mgrid[:120, :160] + 0.5
+    across, down = (column - 80) * 0.115, (row - 60) * 0.115
+    flank, change = (np.abs(down) < 0.5) & (np.abs(across) > 1.2) & (np.abs(across) < 2.0), pressed - rest
+    right, left = (change[flank & (np.sign(across) == side)].mean(axis=0) for side in (1, -1))
+    # Averaged over 90 pixels noise is 0.2 levels; 8 is what inter-reflection and flakes are worth together (docs/optics.md).
+    assert right[0] > 8 and max(right[1:]) < -8 and left[2] > 8 and left[1] > 8 and abs(left[0]) < left[2]
+    assert np.abs(change[np.hypot(across, down) < 0.4].mean(axis=0)).max() < 8
+    # Planted: the lamps exchanged.
+    assert not (left[0] > 8 and max(left[1:]) < -8)
+
+
 def test_the_mini_rests_as_a_real_one_and_its_dents_have_its_colours():
     """Against means of the photographs of `docs/studies/mini_preset.py`: the even part's quarters; the change in eight directions from the
     middles of 20 balls' contacts, right first, then clockwise, between 0.5 and 1.1 of their radius."""
