@@ -79,7 +79,9 @@ class Photos:
     @property
     def lens_choice(self) -> dict[str, Any]:
         """For reports: what was taken out, its standard deviation, and what told of it."""
-        return {"lens_k": round(self.lens.k, 4), "lens_k_sd": self.lens.sd, "lens_by": self.lens.by} if self.lens else {"lens_k": 0.0}
+        if self.lens is None:
+            return {"lens_k": 0.0}
+        return {"lens_k": round(self.lens.k, 4), "lens_k_sd": round(self.lens.sd, 4), "lens_by": self.lens.by}
 
     @property
     def size(self) -> tuple[int, int]:
