@@ -8,6 +8,10 @@ squared distances from what was seen, in the photograph's pixels.
 The standard deviation is the larger of two jackknives, over blocks along the edges, since errors of neighbours are alike, and over edges,
 which tell of different k where they are not straight in the world. So two edges at least are needed, and k is believed from `SURE`
 deviations on. Left out: sides that are all curved alike, by as much as some lens would do it, which no photograph tells from one.
+
+Of the constants, halved and doubled on 28 pictures like the tests' and 32 without edges, few matter: a BLUR of 0.75 triples errors, with
+all OUTLYING points kept they are eightfold, a narrower NARROW (3) finds next to no edge, and CLEAR, NEAR, BLUR or LEAST at half or twice
+let one or two pictures without edges be believed. Believed deviations are 1.4 times too small.
 """
 
 from __future__ import annotations
