@@ -65,6 +65,13 @@ def test_it_is_found_from_the_gels_edges(k: float, noise: float, vignette: float
     assert wrong is None or abs(wrong.k - k) > 4 * expected_sd(noise, vignette)
 
 
+def test_a_large_photograph_shows_it_too() -> None:
+    """The same picture four times as large: its edges are as blurred, and too wide to be taken for any as they are."""
+    large = np.asarray(Image.fromarray(photo(0.3).astype(np.uint8)).resize((4 * SIZE[0], 4 * SIZE[1]), Image.Resampling.BICUBIC), float)
+    lens = lens_of_edges(large[:-2, :-2])  # no multiple of the factor
+    assert lens is not None and lens.size == (1278, 958) and lens.k == pytest.approx(0.3, abs=4 * expected_sd(1.5, 1.0))
+
+
 def test_its_standard_deviation_is_that_of_its_errors() -> None:
     off = []
     for seed in range(16):
