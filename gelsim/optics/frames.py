@@ -46,7 +46,7 @@ def render_frames(
     """
     chosen = variant or choose_variant(device)
     scene, _ = bake.settle_mode(scene)
-    if scene.camera.has_rest:
+    if scene.camera.rest is not None:  # of a smooth rest nothing can be wrong, and its markers take seconds
         rest_pictures(scene)
     if renderer is not None:
         drawer: Any = renderer
