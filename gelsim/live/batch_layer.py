@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -32,7 +33,7 @@ def inner(one: Tensor, other: Tensor) -> Tensor:
     return torch.bmm(one.flatten(1)[:, None], other.flatten(1)[:, :, None])
 
 
-def launch(kernel: wp.Kernel, *fields: Tensor) -> None:
+def launch(kernel: Any, *fields: Tensor) -> None:
     """A kernel over sensors and the cells or waves of the last field, which it writes; all but the first axes are flattened."""
     arrays = []
     for field in fields:
@@ -101,7 +102,7 @@ class Layers:
         """u_z of tangential tractions [mm]."""
         return self._product(lifted_waves, ways, shear, 1)[:, 0]
 
-    def _product(self, kernel: wp.Kernel, ways: Tensor, tractions: Tensor, parts: int) -> Tensor:
+    def _product(self, kernel: Any, ways: Tensor, tractions: Tensor, parts: int) -> Tensor:
         waves = torch.fft.rfft2(tractions)
         found = torch.empty((len(waves), parts, *waves.shape[2:]), dtype=waves.dtype, device=waves.device)
         launch(kernel, ways.flatten(2), waves.flatten(2), found.flatten(2))

@@ -54,7 +54,7 @@ class Drawer:
         import torch
 
         width, height = self._scene.render.resolution
-        words = self._launched(fields.contiguous())[1]
+        words: Any = self._launched(fields.contiguous())[1]
         packed = words.torch() if fields.is_cuda else torch.from_numpy(np.asarray(words).copy())
         return packed.view(torch.uint8)[: 3 * len(fields) * height * width].view(len(fields), height, width, 3)
 
