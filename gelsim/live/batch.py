@@ -294,7 +294,8 @@ class LiveBatch:
         room = height - self._rest
         lowest = each.amin(dim=1)
         touching = going & (lowest < 0)
-        self._release(going & ~touching)
+        if bool((leaving := going & ~touching).any()):
+            self._release(leaving)
         which = torch.nonzero(touching)[:, 0]
         if len(which):
             state = self._state.of(which)
