@@ -3,7 +3,7 @@
     batch = gelsim.LiveBatch(gelsim.load_scene("scenes/press_ball_rigid.toml"), 1024, device="cuda")
     frame = batch.step(poses, dt=0.01)     # (1024, 1, 7), NumPy or torch; what comes out stays on the device
 
-Each sensor answers as `gelsim.LiveSensor` would, and as if the others were not there (`gelsim.live.batch_layer`, `batch_underside`). Of
+Each sensor answers as `gelsim.LiveSensor` would, and as if the others were not there (`gelsim.live.batch_layer`, `batch_kernels`). Of
 several objects the gel meets over each cell the one that is lowest there.
 
 Left out, beside what a live sensor leaves out: a patch for implicit steps (`LiveSensor.patch`).
@@ -117,9 +117,11 @@ class LiveBatch:
             SceneError: An object is not rigid, or the gel is viscous.
             RenderError: CUDA was asked for and is not there.
         """
-        if sensors < 1:
+        if not isinstance(sensors, int) or sensors < 1:
             raise SceneError(f"sensors = {sensors}: a batch has 1 or more")
         self.objects = tuple(objects if objects is not None else (scene.object,))
+        if not self.objects:
+            raise SceneError("objects = []: a batch has 1 or more; leave it out for the scene's own")
         for body in self.objects:
             check_scene(replace(scene, object=body), "a live sensor", "gelsim.press")
         if device == "cuda" and not torch.cuda.is_available():
@@ -135,7 +137,7 @@ class LiveBatch:
         """Of the grid's columns and rows [m]."""
         places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
         rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
-        self._rest = self._tensor(rest)
+        self._rest = torch.as_tensor(rest, dtype=torch.float32, device=self.device)
         thinnest = max(gel.thickness_mm * (1.0 - single.THINNING * DEEPEST) + float(rest.min()), 0.05 * gel.thickness_mm)
         self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
         self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
@@ -148,9 +150,6 @@ class LiveBatch:
         if image:
             _ = self._drawer  # measures the light now
         self.reset()
-
-    def _tensor(self, values: Any) -> Tensor:
-        return torch.as_tensor(np.asarray(values, np.float32), device=self.device)
 
     @staticmethod
     def _wp(values: Tensor, kind: Any = wp.float32) -> wp.array:

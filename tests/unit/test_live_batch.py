@@ -168,6 +168,8 @@ def test_bad_input_is_named_and_leaves_the_gels_as_they_were() -> None:
     assert torch.equal(batch.step(sound, 0.01).contact, before.contact)
     with pytest.raises(SceneError, match="sensors = 0"):
         LiveBatch(scene, 0)
+    with pytest.raises(SceneError, match="objects"):
+        LiveBatch(scene, 1, ())
     with pytest.raises(SceneError, match="rigid"):
         LiveBatch(scene, 1, (replace(scene.object, rigid=False),), image=False)
     if not torch.cuda.is_available():
