@@ -54,8 +54,9 @@ from gelsim.mesh.sizing import LONGER, SIZES, MeshSizes, SizeField, class_above,
 from gelsim.scene.definition import Body, Scene
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import compare_bodies
+from gelsim.shape.orientation import is_reoriented
 from gelsim.shape.outlines import bore, wall
-from gelsim.shape.shapes import load_mesh, of_file, press_depth, shape_symmetry, sharp_edges, solid
+from gelsim.shape.shapes import object_surface, of_file, press_depth, shape_symmetry, sharp_edges, solid
 from gelsim.shape.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
@@ -120,8 +121,9 @@ def mesh_object(
     # As of the gel: no mirror image where one side alone is touched.
     side_x, side_y = side = tuple(sign if axis in shape_symmetry(body) else 0 for axis, sign in zip("xy", area.side, strict=True))
     row = SHAPES[body.shape]
-    if of_file(body):
-        surface, shape, stretch = load_mesh(body), None, 1.0
+    if of_file(body) or is_reoriented(body):  # what is cut where it is held has no patches of its own
+        surface = object_surface(body, edge_length=np.inf, chord=_CHORD * edge_in_contact(scene, area))
+        shape, stretch = None, 1.0
         told = compare_bodies(surface)
         if told and told.faults:  # a rigid object may have them: only its outside counts
             raise SceneError(f'object.mesh = "{body.mesh}": {told.faults[0]}')

@@ -253,6 +253,8 @@ def _bodies(
         from gelsim.fem import rigid_placement
         from gelsim.mesh import body_mesh, gel_mesh
         from gelsim.shape import shapes
+        from gelsim.shape.mesh_file import HELD_BELOW
+        from gelsim.shape.orientation import is_reoriented
     with record.stage("mesh"):
         if shapes.of_file(scene.object):
             _look_at_file(scene, record)
@@ -267,6 +269,8 @@ def _bodies(
             body = body_mesh.mesh_object(scene, symmetry, drawn_before=draw)
             surface = body.surface("contact")
             record.meshes["object"] = body_mesh.mesh_report(body, materials.parts(scene.object))
+            if is_reoriented(scene.object):
+                record.meshes["object"]["held_at_share_of_height"] = 1.0 - HELD_BELOW
         gel = gel_mesh.mesh_gel(scene, symmetry)
         record.meshes["gel"] = body_mesh.mesh_report(gel)
         if scene.object.rigid:

@@ -684,10 +684,10 @@ def unread_sizes(body: Body) -> list[str]:
 def _check_object(body: Body) -> None:
     row = SHAPES[body.shape]
     turned = next((key for key in ("press_side", "rotation_deg") if getattr(body, key) != getattr(Body, key)), None)
-    if turned and row.made != "file" and not body.rigid:
+    inner = "skin" if body.skin.thickness_mm else "grains" if body.grains.count else ""
+    if turned and inner and not body.rigid:
         raise SceneError(
-            f"object.{turned} = {getattr(body, turned)}: a soft {body.shape} cannot be turned yet; allowed with rigid = true, "
-            'or for a soft object of a file (shape = "mesh")'
+            f"object.{turned} = {getattr(body, turned)}: an object with object.{inner} cannot be turned; leave one of them out"
         )
     if (row.made == "file") != (body.mesh is not None):
         if body.mesh is None:

@@ -60,7 +60,7 @@ _LID = 0.5
 """Height of the lid above the highest point over the largest extent."""
 _AWAY = 0.5
 """Cosine of the slope up to which what is missing faces away from the gel, or to it."""
-_HELD_BELOW = 0.1
+HELD_BELOW = 0.1
 """Share of the height of a turned soft object that is cut off, for the platen to hold it."""
 
 
@@ -170,8 +170,8 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
         vertices, faces = _thinned(vertices, faces)
         done["thinned_to_faces"] = len(faces)
     if is_reoriented(body) and not body.rigid:
-        vertices, faces = _cut_flat(vertices, faces, named)
-        done["held_at_share_of_height"] = 1.0 - _HELD_BELOW
+        vertices, faces = cut_flat(vertices, faces, named)
+        done["held_at_share_of_height"] = 1.0 - HELD_BELOW
     lowest = vertices[:, 2].min()
     tip = vertices[vertices[:, 2] <= lowest + 1e-7]
     apex = np.array([*(tip.min(axis=0) + tip.max(axis=0))[:2] / 2, lowest])
@@ -456,7 +456,7 @@ def compare_bodies(surface: TriMesh) -> Bodies | None:
     return Bodies(filled, tuple(faults), shared if shared > _SHARED * filled else 0.0)
 
 
-def _cut_flat(vertices: Array, faces: Faces, named: str) -> tuple[Array, Faces]:
+def cut_flat(vertices: Array, faces: Faces, named: str) -> tuple[Array, Faces]:
     """Without what lies above the plane at which the platen holds it."""
     import manifold3d
 
@@ -466,7 +466,7 @@ def _cut_flat(vertices: Array, faces: Faces, named: str) -> tuple[Array, Faces]:
             f"{named} cannot be cut where a turned soft object is held ({solid3.status().name}); give rigid = true, or no turn"
         )
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
-    kept = solid3.trim_by_plane((0.0, 0.0, -1.0), -(high - _HELD_BELOW * (high - low))).to_mesh64()
+    kept = solid3.trim_by_plane((0.0, 0.0, -1.0), -(high - HELD_BELOW * (high - low))).to_mesh64()
     return np.asarray(kept.vert_properties)[:, :3], np.asarray(kept.tri_verts).astype(np.int64)
 
 

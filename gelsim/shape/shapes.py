@@ -24,7 +24,7 @@ from gelsim.geometry import AXES, FACE_EDGES, QuadraticSurface, TriMesh, edges_o
 from gelsim.scene.definition import Body, Gel, Scene
 from gelsim.scene.motion import motion, widest
 from gelsim.scene.shape_table import SHAPES
-from gelsim.shape.mesh_file import file_stamp, read_part
+from gelsim.shape.mesh_file import cut_flat, file_stamp, read_part
 from gelsim.shape.orientation import is_reoriented, orientation, turned
 from gelsim.shape.outlines import PLANES, Profile, bore, profile, sides, underside
 from gelsim.shape.pad import pad_height
@@ -255,7 +255,9 @@ def object_surface(body: Body, *, edge_length: Sizes | float, chord: float = 1e-
     if is_reoriented(body):
         turn, shift = own_frame(body)
         vertices = vertices @ turn.T + shift
-    return TriMesh(vertices, faces)
+        if not body.rigid:  # held as a file's part is
+            vertices, faces = cut_flat(vertices, faces.astype(np.int64), f"object.shape = {body.shape!r}")
+    return TriMesh(vertices, faces.astype(np.int32))
 
 
 def sharp_edges(body: Body, least_deg: float = 30.0) -> Array:
