@@ -57,6 +57,13 @@ def plate(outline: CrossSection, height: float, rounding: float) -> Manifold:
     return joined([outline.offset(-inset, JoinType.Miter).extrude(height - 2 * lift).translate((0, 0, lift)) for inset, lift in steps])
 
 
+def struck(outline: CrossSection, height: float, draft: float = np.radians(15)) -> Manifold:
+    """Relief as steep as one can be struck, from z = 0 up (Johnson, Encyclopedia of Coin and Medal Technology: Coin Relief)."""
+    spread, thin = height * np.tan(draft), 1e-3
+    face = outline.offset(-spread / 2, JoinType.Miter).extrude(thin)
+    return face.minkowski_sum(Manifold.cylinder(height - thin, spread, 0))
+
+
 def turned(outline: ArrayLike) -> Manifold:
     """Turned about z, from (radius, z) along its outline upward."""
     return polygon(outline).revolve(2 * ROUND)
@@ -155,8 +162,8 @@ def key() -> Manifold:
 
 
 def coin() -> Manifold:
-    raised = [disc(6.5, corners=2 * ROUND) - disc(5.7, corners=2 * ROUND), text("50", 5.5, 0, 0.8), text("GELS", 1.8, 0, -3.2)]
-    return joined([disc(6.45, corners=2 * ROUND).extrude(1.4), *(plate(shape, 0.6, 0.05).translate((0, 0, 1.1)) for shape in raised)])
+    blank = turned([(0, 0), (6.5, 0), (6.5, 1.7), (5.7, 1.7), (5.62, 1.4), (0, 1.4)])
+    return joined([blank, *(struck(words, 0.25).translate((0, 0, 1.4)) for words in (text("50", 5.5, 0, 0.8), text("GELS", 1.8, 0, -3.2)))])
 
 
 def brick() -> Manifold:
