@@ -71,7 +71,6 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     ]
     figure.update_layout(
         title=title,
-        height=760,
         sliders=[{"active": len(steps) - 1, "steps": steps, "currentvalue": {"prefix": f"{name}: "}}],
         scene={"aspectmode": "data", "xaxis_title": "x [mm]", "yaxis_title": "y [mm]", "zaxis_title": "z [mm]"},
         margin={"l": 20, "r": 20, "t": 70, "b": 20},
@@ -80,8 +79,9 @@ def write_page(path: Path, press: Deformation, frames: Sequence[Path] = (), titl
     figure.update_yaxes(title_text="force [N]", row=2, col=2)
     figure.update_xaxes(visible=False, row=1, col=2)
     figure.update_yaxes(visible=False, row=1, col=2)
+    page = figure.to_html(include_plotlyjs=True, full_html=True, auto_play=False, default_height="100vh")
     with whole_file(path) as partial:
-        partial.write_text(figure.to_html(include_plotlyjs=True, full_html=True, auto_play=False), encoding="utf-8")
+        partial.write_text(page.replace("<body>", '<body style="margin: 0">', 1), encoding="utf-8")
 
 
 def write_series(folder: Path, press: Deformation) -> list[Path]:

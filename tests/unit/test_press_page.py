@@ -66,13 +66,14 @@ def test_page_opens_in_a_browser(tmp_path: Path, result: Path) -> None:
     assert cli.main(["inspect", str(result), "--html", str(page)]) == 0
     assert CHROMIUM is not None
 
-    def shown(text: str) -> str:
+    def shown(text: str, window: str = "1400,1000") -> str:
         page.write_text(text, encoding="utf-8")
         flags = [
             "--headless",
             "--no-sandbox",
             "--enable-unsafe-swiftshader",
             "--virtual-time-budget=10000",
+            f"--window-size={window}",
             f"--user-data-dir={tmp_path}/profile",
         ]
         dom = subprocess.run([CHROMIUM, *flags, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=120).stdout
@@ -83,6 +84,10 @@ def test_page_opens_in_a_browser(tmp_path: Path, result: Path) -> None:
     # What the script makes when it has run: the slider, the curve, the 3D scene's canvas.
     made = ("slider-group", "scatterlayer", "<canvas")
     assert all(name in drawn for name in made)
+    # It fills its window: as wide, and lower by as much as that is; what frames the window is the same for both.
+    sizes = [re.search(r'class="main-svg"[^>]*? width="(\d+)" height="(\d+)"', text) for text in (drawn, shown(whole, "900,600"))]
+    (wide, high), (narrow, low) = (map(int, size.groups()) for size in sizes if size)
+    assert (wide, narrow, high - low) == (1400, 900, 400)
     # Planted: the figure's data cut short.
     broken = shown(whole.replace("Plotly.newPlot(", "Plotly.newPlot((", 1))
     assert "<body" in broken and not any(name in broken for name in made)
