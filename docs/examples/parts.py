@@ -61,7 +61,7 @@ def struck(outline: CrossSection, height: float, draft: float = np.radians(15)) 
     """Relief as steep as one can be struck, from z = 0 up (Johnson, Encyclopedia of Coin and Medal Technology: Coin Relief)."""
     spread, thin = height * np.tan(draft), 1e-3
     face = outline.offset(-spread / 2, JoinType.Miter).extrude(thin)
-    return face.minkowski_sum(Manifold.cylinder(height - thin, spread, 0))
+    return face.minkowski_sum(Manifold.cylinder(height - thin, spread, 0, 12))
 
 
 def turned(outline: ArrayLike) -> Manifold:
