@@ -323,7 +323,7 @@ def test_a_turned_soft_part_is_held_below_its_farthest_point(tmp_path: Path) -> 
 
 
 def test_a_turned_soft_shape_is_pressed_as_its_file_is(tmp_path: Path) -> None:
-    """Forces of two meshes that fTetWild draws of one body at `fast` scatter by some per cent (docs/validation.md: 5.3 at most for radii)."""
+    """Two meshes that fTetWild draws of one body at `fast` differ by some per cent (docs/validation.md: radii by 5.3 at most)."""
     rod = Body(shape="cylinder", radius_mm=4.0, height_mm=9.0, shore_00=30.0)
     path = tmp_path / "rod.stl"
     surface = object_surface(rod, edge_length=1e-3, chord=5e-6)
