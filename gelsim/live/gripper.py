@@ -11,6 +11,7 @@ Left out: an arm, cables, the time that a camera takes.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -22,6 +23,7 @@ from gelsim.live.environment import TactileEnv, between_fingers
 from gelsim.live.mujoco import Touch
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
+from gelsim.units import MM
 
 GEL = {
     "gel": {"profile": "flat", "youngs_modulus_kpa": 60.0},
@@ -44,18 +46,18 @@ WORLD = """
       <joint name="lift" type="slide" axis="0 0 1" range="0 .08" damping="1"/>
       <geom type="box" size=".05 .008 .005" pos="0 0 .045" mass=".5" rgba=".3 .3 .3 1" contype="0" conaffinity="0"/>
       <body name="left" pos="-.022 0 0" gravcomp="1">
-        <joint name="left" type="slide" axis="1 0 0" range="0 .015" damping="1"/>
+        <joint name="left" type="slide" axis="1 0 0" range="0 .02" damping="1"/>
         <geom type="box" size=".003 .01 .02" pos="-.007 0 .02" mass=".1" rgba=".3 .3 .3 1" contype="0" conaffinity="0"/>
       </body>
       <body name="right" pos=".022 0 0" gravcomp="1">
-        <joint name="right" type="slide" axis="-1 0 0" range="0 .015" damping="1"/>
+        <joint name="right" type="slide" axis="-1 0 0" range="0 .02" damping="1"/>
         <geom type="box" size=".003 .01 .02" pos=".007 0 .02" mass=".1" rgba=".3 .3 .3 1" contype="0" conaffinity="0"/>
       </body>
     </body>
   </worldbody>
   <equality><joint joint1="left" joint2="right" solref="0.004 1"/></equality>
   <actuator>
-    <intvelocity name="close" joint="left" kp="4000" kv="60" actrange="0 .015" ctrlrange="-.02 .02"/>
+    <intvelocity name="close" joint="left" kp="4000" kv="60" actrange="0 .02" ctrlrange="-.02 .02"/>
     <intvelocity name="lift" joint="lift" kp="8000" kv="200" actrange="0 .08" ctrlrange="-.05 .05"/>
   </actuator>
 </mujoco>
@@ -74,10 +76,21 @@ EPISODE_STEPS = 200
 """4 s."""
 
 
-def gripper(scene: Scene, mass: float) -> tuple[mujoco.MjModel, mujoco.MjData, Touch]:
-    """Model, state and pads "left" and "right" of a gripper around a quail's egg of some mass [kg]; actuators "close" and "lift" [m/s]."""
+def gripper(scene: Scene, mass: float, part: Path | None = None) -> tuple[mujoco.MjModel, mujoco.MjData, Touch]:
+    """Model, state and pads "left" and "right" of a gripper around a quail's egg; actuators "close" and "lift" [m/s].
+
+    Args:
+        mass: Of the egg [kg].
+        part: An STL file [mm] of what stands there in place of the egg, z up, on z = 0.
+    """
     spec = mujoco.MjSpec.from_string(WORLD)
-    spec.body("thing").geoms[0].mass = mass
+    thing = spec.body("thing")
+    (geom,) = thing.geoms
+    geom.mass = mass
+    if part is not None:
+        spec.add_mesh(name="part", file=str(part), scale=[MM] * 3)
+        geom.type, geom.meshname, geom.size = mujoco.mjtGeom.mjGEOM_MESH, "part", [0.0] * 3
+        thing.pos = [0.0] * 3
     touch = between_fingers(spec, "thing", scene, PERIOD)
     return touch.model, touch.data, touch
 

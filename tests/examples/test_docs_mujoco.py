@@ -30,13 +30,14 @@ def test_the_finger_of_the_page_presses_as_it_is_told(picture: bool, repository:
 
 
 @SLOW
-def test_an_egg_is_lifted_by_touch(repository: Path) -> None:
+@pytest.mark.parametrize("thing", ["egg", "screw"])
+def test_a_thing_is_lifted_by_touch(repository: Path, thing: str) -> None:
     main = runpy.run_path(str(repository / "docs" / "examples" / "lift_by_touch.py"))["main"]
-    done = main(quick=True)
+    done = main(quick=True, thing=thing)
     # What it lags behind: shear of the gels, and slip until the grip is firm enough; without a firmer grip it stays on the table
     assert done["hand_mm"] - done["height_mm"] < 1.5
     assert 0.03 * 9.81 / 2 / 0.5 < done["peak_n"] < 0.6  # what friction needs; and far from the 3 N that break it
-    assert main(quick=True, tighter=0.0)["height_mm"] < 0.5
+    assert main(quick=True, tighter=0.0, thing=thing)["height_mm"] < 0.5
 
 
 @SLOW
