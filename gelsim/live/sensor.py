@@ -1,6 +1,6 @@
 """`gelsim.LiveSensor`: a sensor that answers each time the object moves, from the baked gel and the baked light.
 
-    sensor = gelsim.LiveSensor(gelsim.load_scene("scenes/press_cylinder.toml"))
+    sensor = gelsim.LiveSensor(gelsim.load_scene("scenes/press_ball_rigid.toml"))
     frame = sensor.step((0, 0, -0.5e-3, 1, 0, 0, 0), dt=1 / 30)
 
 One sensor, one rigid object. `gelsim.live.layer` has the mechanics, `gelsim.live.underside` the object, docs/live.md what they are worth.

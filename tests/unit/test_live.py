@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from gelsim.live.layer import Elastic, Layer, pressure, shear, waves
 from gelsim.live.sensor import LiveFrame, LiveSensor
 from gelsim.live.underside import FAR_MM, Underside
 from gelsim.scene.definition import Body, Scene
-from gelsim.scene.layers import build_scene
+from gelsim.scene.layers import build_scene, scene_table
 
 NU = 0.499
 GEL = Elastic(20.0, NU)
@@ -382,6 +384,29 @@ def test_force_beside_finite_elements() -> None:
     sensor._layer = Layer(given.gel.size_mm, stiffer)  # planted: a gel a tenth stiffer
     sensor.reset()
     assert at(sensor, 0, 0, -0.6).force[2] != pytest.approx(press.force[-1][2], rel=0.05)
+
+
+def test_a_cylinder_pad_beside_finite_elements() -> None:
+    """Beside its middle line, where it is thinner and looks aside: the flat gel's bound, sideways as a share of the normal force."""
+    pad = {"profile": "cylinder", "radius_mm": 35.0, "youngs_modulus_kpa": 60.0}
+    given = scene(0.5, radius_mm=4.0)
+    given = build_scene(scene_table(given), {"gel": pad, "press": {"offset_mm": [3.0, 0.0]}, "fidelity": "fast"})
+    press, live = gelsim.press(given).force[-1], gelsim.press(given.replace(fidelity="live")).force[-1]
+    assert np.abs(live - press).max() < 0.05 * abs(press[2])
+    assert press[0] < -0.02 * abs(press[2])  # what a flat pad lacks
+    flat = gelsim.press(given.replace(fidelity="live", gel=replace(given.gel, profile="flat", radius_mm=None))).force[-1]
+    assert abs(flat[0]) < 1e-3 * abs(flat[2])
+
+
+def test_the_readmes_lines_run(repository: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without its picture, which measures the sensor's light."""
+    monkeypatch.chdir(repository)
+    (code,) = re.findall(r"^sensor = gelsim.LiveSensor.*?(?=^```)", Path("README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert code.count("\n") <= 10
+    code = code.replace('.toml"))', '.toml"), image=False)').replace("frame.image.shape, ", "")
+    names: dict = {"gelsim": gelsim}
+    exec(code, names)
+    assert names["frame"].force[2] < -0.1 and "[" in capsys.readouterr().out
 
 
 def test_bad_input_is_refused_in_one_line() -> None:
