@@ -10,6 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 
@@ -49,14 +50,10 @@ class Sensor:
         self.outdated = [True, True]
 
     def _resolve_indices_and_mask(self, env_ids: object, env_mask: object) -> object:
-        import torch
-
-        return torch.tensor([index in env_ids for index in range(2)])  # type: ignore[operator]
+        return wp.array([index in env_ids for index in range(2)], dtype=wp.bool, device="cpu")  # type: ignore[operator]
 
     def _update_outdated_buffers(self) -> None:
-        import torch
-
-        self._update_buffers_impl(torch.tensor(self.outdated))  # type: ignore[attr-defined]
+        self._update_buffers_impl(wp.array(self.outdated, dtype=wp.bool, device="cpu"))  # type: ignore[attr-defined]
         self.outdated = [False, False]
 
 
@@ -74,16 +71,29 @@ class View:
         return SimpleNamespace(torch=poses[:, :3]), SimpleNamespace(torch=poses[:, 3:])
 
 
+def subtract_frame_transforms(*poses: object) -> tuple[object, object]:
+    """isaaclab/utils/math.py: the pose of the second frame in the first; quaternions x, y, z, w."""
+    import torch
+
+    gel, turn, thing, other = (pose.numpy().astype(float) for pose in poses)  # type: ignore[attr-defined]
+    back = Rotation.from_quat(turn).inv()
+    return torch.tensor(back.apply(thing - gel)).float(), torch.tensor((back * Rotation.from_quat(other)).as_quat()).float()
+
+
 def test_the_code_for_isaac_lab_asks_each_sensor_at_its_pose(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Isaac Lab itself is not here: two environments, one gel upright, one turned anyhow, feel the same press."""
     torch = pytest.importorskip("torch")
-    found = {name: ModuleType(name) for name in ("isaaclab", "isaaclab.sensors", "isaaclab.sim", "isaaclab.sim.views", "isaaclab.utils")}
+    found = {
+        name: ModuleType(name)
+        for name in ("isaaclab", "isaaclab.sensors", "isaaclab.sim", "isaaclab.sim.views", "isaaclab.utils", "isaaclab.utils.math")
+    }
     for name, module in found.items():
         monkeypatch.setitem(sys.modules, name, module)
     found["isaaclab.sensors"].SensorBase = Sensor  # type: ignore[attr-defined]
     found["isaaclab.sensors"].SensorBaseCfg = object  # type: ignore[attr-defined]
     found["isaaclab.sim.views"].FrameView = View  # type: ignore[attr-defined]
     found["isaaclab.utils"].configclass = lambda cls: cls  # type: ignore[attr-defined]
+    found["isaaclab.utils.math"].subtract_frame_transforms = subtract_frame_transforms  # type: ignore[attr-defined]
     monkeypatch.chdir(repository)
     (code,) = blocks(repository, "In Isaac Lab")
     names: dict = {"__name__": "page"}
