@@ -6,7 +6,8 @@ FOLDER holds labels.csv (file, object, thing, hardness_rank: 0 soft, 1 moderatel
 network with gel and scale told, with either, and with neither. Things are split in two by the parity of their place in the alphabet:
 choices are made on the first half, the second is held back. Spearman is by object (the mean of its videos' readings), the areas under the
 curve by video; one in which no press is found counts as the mean of the others. --csv writes every reading; --sheet draws forty videos,
-evenly taken: untouched, pressed, the change tripled, and what the first network says of them, told gel and scale.
+evenly taken: untouched, pressed, the change tripled, and what the first network says of them, told gel and scale. "unlike" is the share of
+videos that are called unlike the training, "not soft" that among things of the other two classes.
 """
 
 import argparse
@@ -82,8 +83,8 @@ def main() -> None:
     half = np.array([things.index(row["thing"]) % 2 for row in rows])
     networks = {name: Ensemble(find_models([name]), pick_device("auto")) for name in options.model or ["default"]}
     gel, kept = gel_of_sensor(options.sensor), []
-    print("| network | told | half | Spearman by object | hard, soft | hard, moderate | moderate, soft | unlike | spread |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("| network | told | half | Spearman by object | hard, soft | hard, moderate | moderate, soft | unlike | not soft | spread |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for scale in (Framing(mm_per_px=options.mm_per_px), AS_IT_IS):
         seen = list(presses(files, next(iter(networks.values())), scale))
         touching = [number for number, press in enumerate(seen) if press is not None]
@@ -106,10 +107,13 @@ def main() -> None:
                     ranked = spearman([ranks[group[0]] for group in of_body], [readings[group].mean() for group in of_body])
                     hard, moderate, soft = (here[ranks[here] == rank] for rank in (HARD, MODERATE, SOFT))
                     areas = (area(readings, *pair) for pair in ((hard, soft), (hard, moderate), (moderate, soft)))
-                    inside = [part for number, part in zip(touching, said, strict=True) if number in here]
-                    strange, spread = np.mean([part.novelty[0] > 1 for part in inside]), np.mean([part.spread[0] for part in inside])
+                    inside = {number: part for number, part in zip(touching, said, strict=True) if number in here}
+                    strange = {number: part.novelty[0] > 1 for number, part in inside.items()}
+                    firm = [alarm for number, alarm in strange.items() if ranks[number] != SOFT]
+                    spread = np.mean([part.spread[0] for part in inside.values()])
+                    strange_share, firm_share = 100 * np.mean(list(strange.values())), 100 * np.mean(firm)
                     print(f"| {name} | {words} | {'second' if part else 'first'} | {ranked:.2f} | " + " | ".join(f"{a:.2f}" for a in areas)
-                          + f" | {100 * strange:.0f} % | {spread:.1f} |", flush=True)  # fmt: skip
+                          + f" | {strange_share:.0f} % | {firm_share:.0f} % | {spread:.1f} |", flush=True)  # fmt: skip
                 kept += [{"network": name, "told": words, "file": row["file"], "reading": f"{reading:.1f}"}
                          for row, reading in zip(rows, readings, strict=True)]  # fmt: skip
     if options.csv:
