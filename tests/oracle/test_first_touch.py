@@ -1,4 +1,4 @@
-"""Where rigid objects first touch a flat gel, beside a query that knows no field: the lowest of all balls of the rim's radius inside them.
+"""Where objects first touch. Rigid ones beside a query that knows no field: the lowest of all balls of the rim's radius inside them.
 
 An object whose edges a ball has rounded is all places of that ball within it, so it touches a plane where the lowest such place does. That
 is sought in the distance to its exact surface, by cells that are halved.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gelsim.bench import mesh_parts
 from gelsim.fem import quiet_warp, rigid_placement
 from gelsim.fem.field import distance_field, exact_distance, rim_radius, spacing
+from gelsim.pipeline import stages
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 from gelsim.shape import shapes
@@ -93,3 +94,20 @@ def test_another_rim_is_seen() -> None:
     turn, shift = rigid_placement(scene)
     away, blur = off(scene)
     assert abs(lowest(scene, turn, shift * MM_PER_M, 0.6) - away) > 2 * blur
+
+
+@pytest.mark.parametrize("body", ["box", "torus", "star 5 3.5 0.43", "crescent 3.5 0.77 0.49"])
+def test_soft_objects_touch_where_their_surfaces_do(body: str, tmp_path: Path) -> None:
+    """Their curved faces, looked at in 231 points each; and there is neither force nor overlap yet."""
+    shape = {"shape": "mesh", "mesh": str(mesh_parts.mesh_file(body, tmp_path))} if " " in body else {"shape": body}
+    press = {"depth_mm": 0.05, "force_n": "none", "frames": 2, "tilt_deg": [2.0, 3.0]}
+    scene = build_scene({"fidelity": "fast", "object": shape | {"shore_00": 60.0}, "press": press})
+    solved = stages.press(scene)
+    assert not solved.force[0].any() and solved.penetration[0] == 0.0
+    nodes = solved.object.rest + solved.object.displacement[0]
+    faces = nodes[solved.object.faces6]
+    a, b, c = np.array([(i, j, 20 - i - j) for i in range(21) for j in range(21 - i)]).T / 20
+    share = np.stack([a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a], axis=1)
+    places = np.einsum("qk,fkd->fqd", share, faces[faces[..., 2].min(axis=1) < nodes[:, 2].min() + 1e-3]).reshape(-1, 3)
+    away = (places[:, 2] - shapes.gel_height(scene.gel, places[:, :2])).min()
+    assert abs(away) < 1e-7  # a round face between points 1/20 of its edge apart, half a millimetre at most: (12 µm)² / 2 R
