@@ -54,7 +54,7 @@ from gelsim.fem.contact_kernels import (
     vec6d,
 )
 from gelsim.fem.elements import tri6_gradient, tri6_shape, triangle_quadrature
-from gelsim.fem.field import ROUNDING, DistanceField
+from gelsim.fem.field import DistanceField
 from gelsim.fem.friction import slip_bounds
 from gelsim.fem.pattern import PairPattern
 from gelsim.geometry import split_faces
@@ -580,7 +580,8 @@ class RigidContact(SurfaceContact):
         super().__init__(slave_faces, whole, rest, law, device, points, symmetry)
         self.bend = wp.zeros(len(self.weight), dtype=wp.mat33d, device=device)
         self.field = field.grid(device)
-        self.turns_within = ROUNDING * field.spacing  # no rim is sharper, and its normal turns by a right angle along 1.6 of it
+        if law.friction >= 0.0:  # what sticks keeps its place on the object, and the normal there
+            self.turns_within = field.rim  # along 1.6 of which the normal turns by a right angle
 
     def _share(self) -> None:
         super()._share()

@@ -93,6 +93,8 @@ class DistanceField:
     """Of the first sample, in the object's frame [mm]."""
     spacing: float
     """[mm]"""
+    rim: float
+    """Radius of its edges [mm]."""
 
     def grid(self, device: str) -> FieldGrid:
         """For kernels."""
@@ -386,7 +388,7 @@ def sampled(distance: Distance, low: Array, high: Array, spacing: float, radius:
     bent = np.where(exact, _laplacian(samples), 0.0)
     shape = spacing * np.where(bent > 0.0, (radius / (ROUNDING * spacing)) ** 2, 1.0)
     samples -= bent / 6.0 / (1.0 + (bent / shape) ** 2)
-    return DistanceField(samples.astype(np.float32), (float(low[0]), float(low[1]), float(low[2])), spacing)
+    return DistanceField(samples.astype(np.float32), (float(low[0]), float(low[1]), float(low[2])), spacing, radius)
 
 
 def _laplacian(samples: Array) -> Array:
@@ -456,18 +458,18 @@ def _extent(body: Body, stamp: tuple[int, ...]) -> tuple[Array, Array]:
 @lru_cache(maxsize=16)
 def kept_field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...], step: float) -> DistanceField:
     """The field of an object over a box (its corners [mm]) in steps [mm]; of a file it is kept between runs. `stamp`: its `file_stamp`."""
-    low, high = np.array(begin), np.array(end)
+    low, high, rim = np.array(begin), np.array(end), rim_radius(body, step)
     if not shapes.of_file(body):
-        return sampled(exact_distance(body), low, high, step, rim_radius(body, step))
+        return sampled(exact_distance(body), low, high, step, rim)
     surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
-    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, step, rim_radius(body, step)]).tobytes())
+    digest = hashlib.sha256(np.array([_SCHEMA, *begin, *end, step, rim]).tobytes())
     digest.update(surface.vertices.tobytes() + surface.faces.tobytes())
     path = cache_folder("fields") / f"{digest.hexdigest()[:32]}.npz"
     try:
         with np.load(path, allow_pickle=False) as kept:
-            return DistanceField(kept["samples"], tuple(kept["origin"].tolist()), float(kept["spacing"]))
+            return DistanceField(kept["samples"], tuple(kept["origin"].tolist()), float(kept["spacing"]), rim)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        field = sampled(exact_distance(body), low, high, step, rim_radius(body, step))
+        field = sampled(exact_distance(body), low, high, step, rim)
     with contextlib.suppress(OSError), whole_file(path) as partial, partial.open("wb") as file:  # a cache that is full costs a second
         np.savez(file, samples=field.samples, origin=field.origin, spacing=field.spacing)
     return field
