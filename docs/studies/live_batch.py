@@ -20,7 +20,6 @@ from gelsim.bench.section import Row
 from gelsim.fem.batch import copy_bandwidth
 from gelsim.live.batch import LiveBatch
 from gelsim.live.batch_layer import Layers
-from gelsim.scene.definition import Body
 from gelsim.scene.layers import build_scene
 
 WALK = 20
@@ -76,7 +75,7 @@ def made(sensors: int, pictures: bool, device: str) -> tuple[LiveBatch, list[tor
         "contact": {"friction_coefficient": 0.5},
         "render": {"resolution": [160, 120]},
     })  # fmt: skip
-    batch = LiveBatch(scene, sensors, [Body(shape="hemisphere", radius_mm=7.0, height_mm=10.0, rigid=True)], image=pictures, device=device)
+    batch = LiveBatch(scene, sensors, image=pictures, device=device)
     rng, walk = np.random.default_rng(0), []
     first, way = rng.uniform(-5e-3, 5e-3, (sensors, 2)), rng.uniform(0, 2 * np.pi, sensors)
     for step in range(2 * WALK):

@@ -24,14 +24,11 @@ from gelsim.errors import RenderError, SceneError
 from gelsim.fem import quiet_warp
 from gelsim.fem.friction import slip_bound
 from gelsim.live import layer as single
-from gelsim.live.layer import Elastic
-from gelsim.live.sensor import DEEPEST, MOST_TRAVEL_MM, RISE, STICK, STUCK, check_scene
+from gelsim.live.sensor import DEEPEST, MOST_TRAVEL_MM, RISE, STUCK, baked_gel, check_overlap, check_scene, check_time
 from gelsim.live.underside import whole_field
 from gelsim.membrane.markers import marker_layout
 from gelsim.optics.camera import project
-from gelsim.scene import materials
 from gelsim.scene.definition import Body, Scene
-from gelsim.shape.shapes import gel_height
 from gelsim.units import MM, MM_PER_M
 
 try:
@@ -129,21 +126,18 @@ class LiveBatch:
         self.device = "cuda:0" if device == "cuda" or (device == "auto" and torch.cuda.is_available()) else "cpu"
         quiet_warp()
         self._scene = scene.replace(render=replace(scene.render, mode="baked"))
-        self._count = sensors
-        gel, material = scene.gel, materials.gel_material(scene)
-        nu = material.poissons_ratio
-        self._layer = single.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+        self._count, gel = sensors, scene.gel
+        self._layer, rest, self._friction, self._thinning = baked_gel(scene)
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
-        places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape) * MM_PER_M
-        self._rest = torch.as_tensor(rest, dtype=torch.float32, device=self.device)
+        self._rest = torch.as_tensor(rest, device=self.device)
         thinnest = max(gel.thickness_mm * (1.0 - single.THINNING * DEEPEST) + float(rest.min()), 0.05 * gel.thickness_mm)
         self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
-        self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
-        self._thinning = single.THINNING if self._friction else 0.0
-        self._ceiling = self._wp(self._rest + RISE * DEEPEST * gel.thickness_mm)
-        self._fields = [whole_field(body).grid(self.device) for body in self.objects]
+        x, y = self._layers.x, self._layers.y
+        self._arms = torch.stack([torch.ones_like(x), x, y]).flatten(1).T
+        self._places = [self._wp(part) for part in (x[0], y[:, 0], self._rest + RISE * DEEPEST * gel.thickness_mm)]
+        """Of the cells' middles, and the heights up to which they are looked at [mm]."""
+        self._fields = [whole_field(body)[0].grid(self.device) for body in self.objects]
         self._centres = torch.as_tensor(marker_layout(scene).centres * MM_PER_M, device=self.device)
         self._draws = image
         self._shown: tuple[State, Tensor] | None = None
@@ -191,8 +185,7 @@ class LiveBatch:
         Raises:
             SceneError: Poses are no poses or dt no time, or an object is deeper than DEEPEST of the gel's thickness.
         """
-        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
-            raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
+        check_time(dt)
         turn, shift = self._poses(poses)
         heights, owner = self._seen(turn, shift)
         self._check(heights)
@@ -248,10 +241,9 @@ class LiveBatch:
     def _seen(self, turn: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
         """Heights of the objects [mm] over the grid, (n, objects, rows, columns), and which of them is the lowest, (n, rows, columns)."""
         found = torch.empty((len(self.objects), self._count, *self._layer.shape), device=self.device)
-        x, y = self._wp(self._layers.x[0]), self._wp(self._layers.y[:, 0])
         for body, field in enumerate(self._fields):
             poses = self._wp(turn[:, body], wp.mat33d), self._wp(shift[:, body], wp.vec3d)
-            inputs = [field, *poses, x, y, self._ceiling, self._wp(found[body])]
+            inputs = [field, *poses, *self._places, self._wp(found[body])]
             wp.launch(undersides, (self._count, *self._layer.shape), inputs, device=self.device, stream=stream(found.device))
         heights = found.transpose(0, 1)
         return heights, heights.argmin(dim=1).to(torch.int8)
@@ -259,12 +251,7 @@ class LiveBatch:
     def _check(self, heights: Tensor) -> None:
         overlap = -(heights.amin(dim=1) - self._rest).amin(dim=(1, 2))
         worst = int(overlap.argmax())
-        most = DEEPEST * self._scene.gel.thickness_mm
-        if float(overlap[worst]) > most:
-            raise SceneError(
-                f"poses[{worst}]: an object overlaps the gel by {float(overlap[worst]):.2f} mm; allowed is {DEEPEST:g} of "
-                f"gel.thickness_mm = {self._scene.gel.thickness_mm:g} mm, so {most:.2f} mm; press less deep, or use gelsim.press"
-            )
+        check_overlap(f"poses[{worst}]", float(overlap[worst]), self._scene.gel.thickness_mm)
 
     def _way(self, turn: Tensor, shift: Tensor) -> Tensor:
         """The farthest that a cell in contact goes with its object [mm], (n,)."""
@@ -377,12 +364,11 @@ class LiveBatch:
         z = self._rest + state.moved[:, 2]
         traction = state.shear + state.pressure[:, None] * layers.slope(z).transpose(0, 1)
         traction = torch.cat([traction, -state.pressure[:, None]], 1)
-        arms = torch.stack([torch.ones_like(layers.x), layers.x, layers.y]).flatten(1).T
         touching = state.pressure > 0
         force, torque = [], []
         for body in range(len(self.objects)):
             mine = traction if len(self.objects) == 1 else traction * (state.owner == body)[:, None]
-            sums, by_z = mine.flatten(2) @ arms, mine.flatten(2) @ z.flatten(1)[:, :, None]
+            sums, by_z = mine.flatten(2) @ self._arms, mine.flatten(2) @ z.flatten(1)[:, :, None]
             force.append(sums[:, :, 0])
             by = torch.cat([sums[:, :, 1:], by_z], 2)  # of force along i, times the place along j
             torque.append(torch.stack([by[:, j, i] - by[:, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], 1))

@@ -120,7 +120,7 @@ class Layers:
 
     def bending(self, pressure: Tensor, moved: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.Window.bending`: tractions and motion of second order, (n, 2, rows, columns) each."""
-        height = moved[:, 2] + (rest - self._level(pressure, rest))
+        height = self.height(pressure, moved, rest)
         blur = torch.exp(-0.5 * self._squared * (-moved[:, 2].amin(dim=(1, 2), keepdim=True)).clamp(min=0.0) ** 2)
         (xx, yx), (xy, yy) = (
             change.unbind(1) for change in self.slope(torch.fft.irfft2(blur[:, None] * torch.fft.rfft2(moved[:, :2]), s=self.shape))
@@ -145,12 +145,10 @@ class Layers:
         still = self.slope(rest.expand_as(pressure)).transpose(0, 1)
         return -single.LED * (apart * self.slope(moved[:, 2]).transpose(0, 1) + moved[:, :2] * still).sum(dim=1)
 
-    def _level(self, pressure: Tensor, rest: Tensor) -> Tensor:
-        return (pressure * rest).sum(dim=(1, 2), keepdim=True) / pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
-
     def height(self, pressure: Tensor, moved: Tensor, rest: Tensor) -> Tensor:
         """Of the face over where the pressure's centre was at rest [mm]."""
-        return moved[:, 2] + (rest - self._level(pressure, rest))
+        total = pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
+        return moved[:, 2] + (rest - (pressure * rest).sum(dim=(1, 2), keepdim=True) / total)
 
     def stiffening(self, thickness: Tensor, pressure: Tensor, moved: Tensor) -> Tensor:
         """As `layer.stiffening`, (n, 1, 1)."""

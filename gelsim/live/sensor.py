@@ -22,7 +22,7 @@ from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.fem.friction import slip_bounds
 from gelsim.live import layer as gel_layer
-from gelsim.live.layer import Elastic, Values, Window
+from gelsim.live.layer import Elastic, Layer, Values, Window
 from gelsim.live.patch import Patch, torque
 from gelsim.membrane.markers import marker_layout
 from gelsim.optics.camera import marker_pixels
@@ -176,18 +176,12 @@ class LiveSensor:
 
         scene = scene.replace(render=replace(scene.render, mode="baked"))
         self._scene = scene
-        gel, material = scene.gel, materials.gel_material(scene)
-        nu = material.poissons_ratio
-        self._layer = gel_layer.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+        self._layer, self._rest, self._friction, self._thinning = baked_gel(scene)
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
-        places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        self._rest = gel_height(gel, places.reshape(-1, 2)).reshape(self._layer.shape).astype(np.float32) * np.float32(MM_PER_M)
         self._object = Underside(scene.object)
-        self._friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
-        self._thinning = gel_layer.THINNING if self._friction else 0.0
         centres = marker_layout(scene).centres
-        self._markers = np.column_stack([centres, gel_height(gel, centres)])
+        self._markers = np.column_stack([centres, gel_height(scene.gel, centres)])
         self._draws, self._device = image, device
         self._pose: tuple[Array, Array] | None = None
         self._punched: tuple[Window | None, NDArray[np.bool_], Array] = (None, np.zeros((0, 0), bool), np.zeros((0, 2)))
@@ -220,8 +214,7 @@ class LiveSensor:
         Raises:
             SceneError: pose is no pose or dt no time, or the object is deeper than DEEPEST of the gel's thickness.
         """
-        if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
-            raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
+        check_time(dt)
         self._go(*_pose(pose))
         return self._frame()
 
@@ -313,11 +306,7 @@ class LiveSensor:
         heights = self._object.heights(turn, shift, layer.x[columns], layer.y[rows])
         room = (heights - self._rest[rows, columns]).astype(np.float32, copy=False)
         overlap = -float(room.min(initial=math.inf))
-        if overlap > DEEPEST * gel.thickness_mm:
-            raise SceneError(
-                f"pose: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
-                f"{gel.thickness_mm:g} mm, so {DEEPEST * gel.thickness_mm:.2f} mm; press less deep, or use gelsim.press"
-            )
+        check_overlap("pose", overlap, gel.thickness_mm)
         return (rows, columns), heights, room
 
     def _move(self, pose: tuple[Array, Array], seen: tuple[Place, Values, Values]) -> None:
@@ -451,6 +440,32 @@ class LiveSensor:
         """Of the grid, (..., M), at places (M, 2) [mm]."""
         layer = self._layer
         return between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
+
+
+def baked_gel(scene: Scene) -> tuple[Layer, Values, float, float]:
+    """Of a scene's gel: its layer, its height at rest over the layer's cells [mm], the coefficient of friction, and its thinning."""
+    gel, material = scene.gel, materials.gel_material(scene)
+    nu = material.poissons_ratio
+    layer = gel_layer.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+    places = np.stack(np.meshgrid(layer.x * MM, layer.y * MM), axis=-1)
+    rest = gel_height(gel, places.reshape(-1, 2)).reshape(layer.shape).astype(np.float32) * np.float32(MM_PER_M)
+    friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
+    return layer, rest, friction, gel_layer.THINNING if friction else 0.0
+
+
+def check_time(dt: float) -> None:
+    """Raises SceneError where a step's time [s] is none."""
+    if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
+        raise SceneError(f"dt = {dt!r} s: a step's time is a positive number, for example 0.033")
+
+
+def check_overlap(where: str, overlap: float, thickness: float) -> None:
+    """Raises SceneError where an object is deeper in a gel than DEEPEST of its thickness [mm]."""
+    if overlap > DEEPEST * thickness:
+        raise SceneError(
+            f"{where}: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
+            f"{thickness:g} mm, so {DEEPEST * thickness:.2f} mm; press less deep, or use gelsim.press"
+        )
 
 
 def check_scene(scene: Scene, who: str, instead: str) -> None:

@@ -44,21 +44,16 @@ CLOSE_MM = 1e-4
 """Motion of places by one more correction at which they end."""
 
 
-def _corners(body: Body) -> Array:
-    """Points whose hull is the object's [mm], (M, 3), in its frame."""
-    return shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
-
-
-def whole_field(body: Body) -> DistanceField:
-    """The signed distance of all of an object, of at most MOST_SAMPLES samples.
+def whole_field(body: Body) -> tuple[DistanceField, Array]:
+    """The signed distance of all of an object, of at most MOST_SAMPLES samples; and points whose hull is the object's [mm], (M, 3).
 
     Raises:
         SceneError: The shape makes no solid.
     """
-    vertices = _corners(body)
+    vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
     low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
     step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
-    return kept_field(body, file_stamp(body), tuple(low), tuple(high), step)
+    return kept_field(body, file_stamp(body), tuple(low), tuple(high), step), vertices
 
 
 class Underside:
@@ -70,8 +65,7 @@ class Underside:
         Raises:
             SceneError: The shape makes no solid.
         """
-        self._corners = _corners(body)
-        self._field = whole_field(body)
+        self._field, self._corners = whole_field(body)
         self._map: Map | None = None
         self._maps: dict[bytes, Map] = {}
 
