@@ -215,8 +215,8 @@ class Layers:
             change = answer(move)
             mine = change if where is None else change * where
             steep = inner(mine, move)
-            sound = steep > 0
-            part = torch.where(sound, (-inner(slope, move) / steep.clamp(min=TINY)).clamp(max=1.0), 0.0).view(shape)
+            sound = left & (steep > 0)  # of those that are done rounding alone would move what slips, far
+            part = torch.where(sound, (-inner(slope, move) / steep.clamp(min=TINY)).clamp(0.0, 1.0), 0.0).view(shape)
             at, slope = torch.addcmul(at, part, move), torch.addcmul(slope, part, change)
             step = torch.where(sound, steep / inner(mine, mine).clamp(min=TINY), step)
         return at, slope

@@ -11,12 +11,14 @@ from test_lightfield import linear_field
 
 import gelsim
 from gelsim.errors import RenderError, SceneError
+from gelsim.live import layer
 from gelsim.live.sensor import LiveSensor
 from gelsim.optics import bake
 from gelsim.scene.definition import Body, Gel, Markers, Scene
 
 torch = pytest.importorskip("torch")
 from gelsim.live.batch import BatchFrame, LiveBatch  # noqa: E402
+from gelsim.live.batch_layer import Layers  # noqa: E402
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 WALK = ((0.0, 0.0, -0.2), (0.0, 0.0, -0.5), (0.15, 0.1, -0.5), (0.5, 0.1, -0.55), (0.2, 0.1, -0.4), (0.2, 0.1, 0.3), (0.2, 0.0, -0.3))
@@ -110,6 +112,21 @@ def test_a_sensor_answers_as_if_the_others_were_not_there() -> None:
         frame, known = batch.step(poses, 0.01), alone.step(poses[:1], 0.01)
         assert torch.allclose(frame.force[0], known.force[0], rtol=FORCE, atol=FORCE * 1e-2)
         assert not frame.force[2].any() and not (frame.contact[2] >= 0).any()
+
+
+def test_sensors_that_are_done_do_not_move_while_others_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They did: rounding showed their slipping cells a way of negative length, and searches ran to their last step, 200."""
+    taken = []
+    real = Layers.dragged
+    monkeypatch.setattr(Layers, "dragged", lambda self, ways, shear: (taken.append(len(shear)), real(self, ways, shear))[1])
+    rng, many = np.random.default_rng(0), LiveBatch(ball_scene(), 8, image=False, device="cpu")
+    at, way = rng.uniform(-1.5, 1.5, (8, 2)), rng.uniform(0, 2 * np.pi, 8)
+    for step in range(12):
+        aside = 0.02 * max(step - 7, 0)
+        places = at + aside * np.stack([np.cos(way), np.sin(way)], 1)
+        taken.clear()
+        many.step(np.array([pose(x, y, -0.04 * min(step + 1, 8)) for x, y in places]), 0.01)
+        assert len(taken) < layer.STEPS / 2  # of all searches of a step together: some 30
 
 
 def test_resets_forget_what_was_and_nothing_else() -> None:
