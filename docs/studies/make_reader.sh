@@ -39,7 +39,7 @@ presses varied varied "$seed" "$most" 34 --test-episodes &
 presses families families "$seed" "$most" 48 --test-episodes &
 [ "$gpus" = 0 ] || for pool in "varied $seed" "families $seed" "paper2017 $test_seed"; do  # a trial measures those it needs, later
     python3 -c "from gelsim.generate.plan import load_plan; print(*range(load_plan('${pool% *}').sensors), sep='\n')" | sed "s/^/$pool /"
-done | log fields xargs -P "$lights" -L 1 bash -c 'field "$@"' _ &
+done | xargs -P "$lights" -L 1 bash -c 'field "$@"' _ >>"$out/log/fields" 2>&1 &
 wait
 for name in families varied tests; do say "$name: $(wc -l <"$data/$name/meta/episodes.jsonl") episodes"; done
 

@@ -4,9 +4,10 @@
 #     bash docs/studies/reader_ablation.sh OUT [SECONDS=1500]         on a machine with GPUs
 #     python docs/studies/reader_ablation.py OUT/runs FOLDER --mm-per-px 0.058 --sensor gelsight_mini         the table, anywhere
 #
-# Four sets of presses are made side by side until 0.42 of the time: `varied` (domes as paper2017's, silicone), `families`, its sensors with
-# silicone alone, its objects on varied's sensors. Each is drawn. Then each way is trained with three seeds from `paper2017`, half of its
-# presses from `varied`, the other half as its name says; all sets are cut to the smallest's number of presses. OUT/log tells where it is.
+# Four sets of presses are made side by side until 0.42 of the time, while the light fields of their sensors are measured: `varied` (domes as
+# paper2017's, silicone), `families`, its sensors with silicone alone, its objects on varied's sensors. Each is drawn. Then each way is
+# trained with three seeds from `paper2017`, half of its presses from `varied`, the other half as its name says; all sets are cut to the
+# smallest's number of presses. OUT/log tells where it is.
 # The machine must have nothing else to do: beside 58 busy cores of 64 nothing was drawn in 24 % of 1,150 s.
 # Called again it goes on with the presses and drawings that are there. Environment: SEED, MOST (presses of a set), STEPS, DEVICE (cpu: a trial).
 set -u
@@ -36,6 +37,17 @@ groups = [group | {"kinds": list(filter(silicone, group["kinds"]))} if "kinds" i
 END
 declare -A plan=([varied]=varied [families]=families [sensors]=$out/plans/sensors.toml [objects]=$out/plans/objects.toml)
 [ "$gpus" = 0 ] || nvidia-cuda-mps-control -d || true
+field() {  # PLAN NUMBER; the two other sets have the sensors of these
+    CUDA_VISIBLE_DEVICES=$(( $2 % gpus )) python3 -c "
+from gelsim.generate.light import Studio, is_measured
+from gelsim.generate.plan import Catalogue, load_plan
+sensor = Catalogue(load_plan('$1'), $seed).sensor_scene($2)
+is_measured(sensor) or Studio('cuda').field(sensor)"
+}
+export -f field; export gpus seed
+[ "$gpus" = 0 ] || for pool in families varied; do  # a trial measures those it needs, later
+    python3 -c "from gelsim.generate.plan import load_plan; print(*range(load_plan('$pool').sensors), sep='\n')" | sed "s/^/$pool /"
+done | xargs -P $(( 2 * gpus + 1 )) -L 1 bash -c 'field "$@"' _ >>"$out/log/fields" 2>&1 &
 for name in "${!plan[@]}"; do
     log "presses_$name" until_ 42 python3 -m gelsim dataset --plan "${plan[$name]}" --seed "$seed" --episodes "$most" --test-episodes 0 --no-light \
         --device "$device" --workers $(( processes / 4 + 1 )) --out "$data/$name" $([ -d "$data/$name" ] && echo --resume) &
