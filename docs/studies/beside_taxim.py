@@ -79,6 +79,11 @@ class Taxim:
             sys.argv = arguments
         self.simulator = simulator(str(scratch), str(scratch), "ball.ply")
 
+    def dent(self, depth_mm: float) -> np.ndarray:
+        """How deep the gel is pressed by the ball in the picture's middle [mm], (480, 640)."""
+        contact = self.simulator.deformApprox(depth_mm, *self.simulator.generateHeightMap(str(self.gel), depth_mm, 0, 0))[2]
+        return contact * TAXIM_PX_MM
+
     def picture(self, depth_mm: float, across: int, down: int, shadow: bool) -> np.ndarray:
         """Levels (120, 160, 3), RGB; the ball's middle is so many of its pixels from the picture's."""
         height, gel, mask = self.simulator.generateHeightMap(str(self.gel), depth_mm, across, down)
