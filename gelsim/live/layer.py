@@ -383,7 +383,7 @@ class Window:
         """Of values (..., rows, columns) along x and y, (2, ..., rows, columns); at the rim half of it."""
         found: Any = np.zeros((2, *values.shape), np.float32)
         for change, axis, cell in zip(found, (-1, -2), self.layer.cell, strict=True):
-            to, before = np.moveaxis(change, axis, 0), np.moveaxis(values, axis, 0)
+            to, before = change.swapaxes(axis, 0), values.swapaxes(axis, 0)
             if len(before) > 1:
                 np.subtract(before[2:], before[:-2], out=to[1:-1])
                 np.subtract(before[1], before[0], out=to[0])
