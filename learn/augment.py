@@ -24,6 +24,10 @@ SCALE_ERROR, CENTRE_ERROR = 0.03, 0.1
 """How well scale [relative] and contact's place [standard deviation, half widths] are known of pictures at the network's scale."""
 WIDEST = 0.5
 """Of a border [half picture widths]."""
+ROUND = 1 / 3
+"""Of borders that have rounded corners, and of those that leave a disc."""
+SMEARS, MOST_SPECKS, SPECK_PX = (3, 8), 30, (0.7, 3.0)
+"""Of dirt: cells of smears across a picture, specks at most, and their radii [px of the network's pictures]."""
 MOST_RELIEF, GRAINS, REACH, CHANGE = 40.0, (2, 8), 6, 20.0
 """Of textures: the largest standard deviation of what slopes do [levels], their finest and coarsest grain [px], and over how many pixels a
 change of how many levels brings them out whole."""
@@ -40,7 +44,9 @@ LOOK = np.dtype([
     ("colours", np.float32, (3, 3)),  # what each becomes of all three
     ("shade", np.float32, (3, 5)),    # exponents of each colour's gain for u, v, u^2, u v, v^2, -1 to 1 over what is seen
     ("border", np.float32, 4),   # of one colour, beyond these x and y, from left, top, right, bottom [half picture widths and heights]
+    ("round", np.float32),       # radius of its corners [the shorter half of what it leaves]
     ("painted", np.float32, 3),  # that colour [levels]
+    ("dirt", np.float32),        # contrast of what lies on lens or coat [share of the light]
     ("exponent", np.float32),    # of the tone curve
     ("gain", np.float32, 3),
     ("drift", np.float32),       # gain of the press against the no-contact frame
@@ -102,6 +108,12 @@ def draw_look(rng: np.random.Generator, config: AugmentConfig, shown_mm: float |
         if bordered:
             inner = 1 - rng.uniform(-WIDEST, WIDEST / 2, 4)
             look["border"], look["painted"] = inner * (-1, -1, 1, 1), rng.choice([0.0, 1.0]) * rng.uniform(0, 255, 3)
+            kind = rng.random() / ROUND
+            if kind < 1:
+                look["round"] = rng.uniform(0.2, 1)
+            elif kind < 2:
+                half = rng.uniform(1 - WIDEST / 2, 1 + WIDEST / 2)
+                look["border"], look["round"] = np.outer((-half, half), (FIELD_MM[1] / FIELD_MM[0], 1)).ravel(), 1
         look["colours"] = np.eye(3)[rng.permutation(3) if config.swap_colours else range(3)]
         if config.mix:
             look["colours"] += rng.uniform(0, config.mix) * (rng.dirichlet(np.ones(3), 3) - look["colours"])
@@ -114,6 +126,8 @@ def draw_look(rng: np.random.Generator, config: AugmentConfig, shown_mm: float |
         if rng.random() < config.texture:
             look["relief"] = rng.normal(0, rng.uniform(0, MOST_RELIEF), (3, 2))
         look["grain"] = rng.integers(GRAINS[0], GRAINS[1] + 1)
+        if config.dirt:
+            look["dirt"] = rng.uniform(0, config.dirt)
         look["codec"], look["block"] = rng.uniform(0, config.codec_levels), rng.choice(BLOCKS)
     look["seed"] = rng.integers(2**62)
     look["hide_gel"] = config.augment and rng.random() < config.hide_gel
@@ -144,6 +158,8 @@ def randomise(
     if config.augment:
         if config.texture > 0:
             stack = _textured(stack, looks)
+        if config.dirt > 0:
+            stack = stack * _dirt(looks, stack)
         if config.swap_colours or config.mix > 0:
             colours = torch.from_numpy(looks["colours"].copy()).to(stack.device, non_blocking=True)
             stack = torch.einsum("bij,btjhw->btihw", colours, stack)
@@ -193,8 +209,36 @@ def _cut(stack: torch.Tensor, looks: NDArray, deadband: float) -> tuple[torch.Te
     flat = functional.grid_sample(
         stack.reshape(count, length * colours, rows, columns), grid, mode="bilinear", padding_mode="border", align_corners=False
     )
-    border = torch.from_numpy(looks["border"].copy()).to(stack.device, non_blocking=True)[:, None, None]
-    return flat.view(stack.shape), ((grid < border[..., :2]) | (grid > border[..., 2:])).any(dim=-1)
+    # Half pictures to pixels; what is infinite is far away.
+    pixels = torch.tensor([columns, rows], device=stack.device) / 2
+    border, corner = (torch.from_numpy(looks[name].copy()).to(stack.device, non_blocking=True) for name in ("border", "round"))
+    low, high = (border.clamp(-9, 9).view(count, 1, 1, 2, 2) * pixels).unbind(dim=-2)
+    radius = corner[:, None, None, None] * (high - low).amin(dim=-1, keepdim=True) / 2
+    beyond = ((grid * pixels - (low + high) / 2).abs() - (high - low) / 2 + radius).clamp_min(0)
+    return flat.view(stack.shape), beyond.norm(dim=-1) > radius[..., 0]
+
+
+def _dirt(looks: NDArray, stack: torch.Tensor) -> torch.Tensor:
+    """The share of the light that smears and specks of each press let through, the same in all its pictures, (B, 1, 1, h, w)."""
+    rows, columns = stack.shape[-2:]
+    down, across = (torch.arange(size, device=stack.device) + 0.5 for size in (rows, columns))
+    generator, passed = torch.Generator(stack.device), []
+    for contrast, seed in looks[["dirt", "seed"]]:
+        generator.manual_seed(int(seed) ^ 2)
+
+        def uniform(count: int, low: float, high: float, generator: torch.Generator = generator) -> torch.Tensor:
+            return low + (high - low) * torch.rand(count, generator=generator, device=stack.device)
+
+        cells = int(uniform(1, *SMEARS))
+        coarse = torch.empty((1, 1, cells, cells), device=stack.device).normal_(generator=generator)
+        smear = functional.interpolate(coarse, (rows, columns), mode="bicubic")[0, 0].sigmoid()
+        count = int(uniform(1, 0, MOST_SPECKS + 1))
+        x, y, radius = uniform(count, 0, columns), uniform(count, 0, rows), uniform(count, *SPECK_PX)
+        specks = torch.einsum("ky,kx->yx", *(
+            torch.exp(-0.5 * ((along - place[:, None]) / radius[:, None]) ** 2) for along, place in ((down, y), (across, x))
+        )).clamp(0, 1)  # fmt: skip
+        passed.append((1 - float(contrast) * smear) * (1 - 2 * float(contrast) * specks).clamp_min(0))
+    return torch.stack(passed)[:, None, None]
 
 
 def _textured(stack: torch.Tensor, looks: NDArray) -> torch.Tensor:

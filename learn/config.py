@@ -103,7 +103,9 @@ class AugmentConfig:
     shade: float = 0.0
     """largest exponent of a smooth gain over the picture at its sides: vignettes, lamps that glow"""
     border: float = 0.0
-    """share of presses seen in a border of one colour, up to a quarter of the picture on each side"""
+    """share of presses seen in a border of one colour, up to a quarter of the picture on each side, or in a round or rounded window"""
+    dirt: float = 0.0
+    """largest share of the light that smears on lens or coat take; specks take twice as much"""
     texture: float = 0.0
     """share of presses with a fine relief where they touch, as fabrics, skins and bristles have, whatever their hardness"""
     codec_levels: float = 0.0
@@ -174,6 +176,7 @@ _ADDED: dict[str, dict[str, Any]] = {
         "mix": 0.0,
         "shade": 0.0,
         "border": 0.0,
+        "dirt": 0.0,
         "texture": 0.0,
         "codec_levels": 0.0,
         "late": 0.0,
@@ -191,7 +194,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "families": {
         "picture": (144, 192), "widths": (48, 96, 192, 320), "batch": 64, "rate": 1.5e-3, "warmup": 150, "end_share": 0.5, "drop": 0.1,
         "gamma": 0.25, "hide_gel": 0.4, "hide_scale": 0.4, "turn_deg": 15.0, "mix": 0.6, "shade": 0.5, "border": 0.3,
-        "texture": 0.4, "codec_levels": 12.0, "late": 0.1,
+        "dirt": 0.2, "texture": 0.4, "codec_levels": 12.0, "late": 0.1,
         "show_background": False,
     },
     "paper": {
@@ -255,7 +258,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "picture": (16, 1024), "frames": (2, 64), "deadband_levels": (0, 64), "contact_levels": (1e-3, 64), "widths": (4, 2048),
     "hidden": (4, 4096), "end_share": (0.05, 1), "thin": (1, 20), "drop": (0, 0.9), "noise_levels": (0, 64), "gain": (0, 0.9),
     "gamma": (0, 0.9), "drift": (0, 0.5), "blur_px": (0, 20), "hide_gel": (0, 1), "hide_scale": (0, 1),
-    "turn_deg": (0, 180), "mix": (0, 1), "shade": (0, 3), "border": (0, 1), "texture": (0, 1), "codec_levels": (0, 255), "late": (0, 1),
+    "turn_deg": (0, 180), "mix": (0, 1), "shade": (0, 3), "border": (0, 1), "dirt": (0, 0.5), "texture": (0, 1),
+    "codec_levels": (0, 255), "late": (0, 1),
     "classes": (0, 20), "crop": (0, 0.8), "steps": (1, 10**8), "batch": (1, 10**5), "rate": (0, 10),
     "warmup": (0, 10**7), "weight_decay": (0, 10), "step_size": (1, 10**8), "step_factor": (0, 1), "momentum": (0, 0.9999),
     "clip": (0, 1e6), "seed": (0, 2**31), "workers": (0, 256), "validate_every": (1, 10**8), "real_ratio": (0, 1),

@@ -260,6 +260,41 @@ def test_a_border_is_of_one_colour_and_what_lies_within_stays() -> None:
     assert torch.equal(seen[:, :, :2], torch.tensor([10.0, 20.0, 30.0])[:, None, None].expand(3, 8, 2))
 
 
+@pytest.mark.parametrize("corner", [0.5, 1.0])
+def test_a_window_with_round_corners_shows_what_lies_within_its_arcs(corner: float) -> None:
+    """30 × 18 pixels of 40 × 24, corners of half and all of the shorter half: at 1 the ends are half discs."""
+    stack, half = torch.full((1, 2, 3, 24, 40), 100.0), (15.0, 9.0)
+    drawn = looks(1, border=(-0.75, -0.75, 0.75, 0.75), round=corner, painted=(10.0, 20.0, 30.0))
+    seen = randomise(stack, drawn, [(0.0, 0.0)], replace(STILL, border=1.0, crop=0.1))[0]
+    y, x = np.meshgrid(np.arange(24.0) - 11.5, np.arange(40.0) - 19.5, indexing="ij")
+    past = [np.maximum(np.abs(along) - side + 9 * corner, 0) for along, side in ((x, half[0]), (y, half[1]))]
+    within = torch.from_numpy(np.hypot(*past) < 9 * corner)
+    # By the middles of pixels, none of which lies on an arc. Planted, the corners left sharp: 8 and 32 pixels too many.
+    assert torch.equal(seen[1, 0] > 50, within) and torch.equal(seen[0, 2] < 50, ~within)
+    assert 30 * 18 - int(within.sum()) == pytest.approx((4 - np.pi) * (9 * corner) ** 2, abs=6)
+
+
+def test_masks_of_all_kinds_are_drawn(rng: np.random.Generator) -> None:
+    drawn = np.array([draw_look(rng, replace(CONFIG.augment, border=1.0)) for _ in range(300)])
+    corners, sides = drawn["round"], np.abs(drawn["border"])
+    # Of 300 at a third a standard deviation is 8.2: four of them.
+    assert all(abs(count - 100) < 33 for count in ((corners == 0).sum(), (corners == 1).sum(), ((corners > 0) & (corners < 1)).sum()))
+    # Discs are as wide as high, in pictures of 4 : 3.
+    assert np.allclose(sides[corners == 1][:, 0] * 4, sides[corners == 1][:, 1] * 3)
+
+
+def test_dirt_stays_with_the_sensor_through_a_press_and_is_anothers_of_another() -> None:
+    stack = torch.rand(2, 4, 3, 36, 48, generator=torch.Generator().manual_seed(1)) * 50 + 100
+    passed = randomise(stack, looks(2, dirt=(0.2, 0.2)), [(0.0, 0.0)] * 2, replace(STILL, dirt=0.2)) / stack
+    # Of float32's rounding at 100 levels; planted, dirt drawn anew for each picture is off by its contrast.
+    assert torch.allclose(passed, passed[:, :1, :1].expand_as(passed), atol=1e-5)
+    # Smears take up to 0.2, a speck up to 0.4 of the rest.
+    assert 0.8 * 0.6 - 1e-5 < passed.min() < 0.9 and passed.max() < 1 and passed.std() > 0.01
+    assert (passed[0] - passed[1]).std() > 0.01
+    # There and back through the tone curve.
+    assert torch.allclose(randomise(stack, looks(2), [(0.0, 0.0)] * 2, replace(STILL, dirt=0.2)), stack, atol=1e-3)
+
+
 def test_colours_become_mixtures_and_a_shade_is_brightest_where_its_exponent_says() -> None:
     stack = torch.rand(1, 2, 3, 6, 8) * 50
     white = randomise(stack, looks(1, colours=np.full((3, 3), 1 / 3)), [(0.0, 0.0)], replace(STILL, mix=1.0))

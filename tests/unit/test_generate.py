@@ -304,6 +304,18 @@ def test_what_is_asked_for_is_known_before_any_scene_is_built(monkeypatch: pytes
     assert list(Extent(60, test=0).presses(catalogue)) == [n for n, split in enumerate(splits) if split in ("train", "validation")]
 
 
+def test_families_are_seen_8_to_40_mm_wide_and_8_to_60_times_a_second():
+    catalogue = Catalogue(load_plan("families"), 0)
+    wide = [catalogue.sensor_scene(number).camera.field_mm[0] for number in range(catalogue.plan.sensors)]
+    assert min(wide) == 8.0 and max(wide) == 40.0 and sorted(set(wide))[-2] == 32.0
+    rates = [catalogue.episode(catalogue.press(number), 0).layer["camera"]["fps"] for number in range(60)]
+    # Of 60 log-uniform draws none in an end of a tenth: 0.9^60 = 0.2 %. Planted, the presets' own rates: 25, 30 and 60.
+    assert 8 <= min(rates) < 8 * 7.5**0.1 and 60 / 7.5**0.1 < max(rates) <= 60
+    press = catalogue.press(0)
+    scene = press.scene.replace(camera=replace(press.scene.camera, fps=rates[0]))
+    assert bake.field_key(scene) == bake.field_key(press.scene)
+
+
 def test_folders_that_cannot_be_used(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneError, match="is a file"):
