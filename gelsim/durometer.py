@@ -112,6 +112,22 @@ SCALES = {
 }
 
 
+TESTER = Durometer("5 mm", 1e-3, 0.0, 0.0, 2.5e-3, 2.5e-3, readings=(0.0, 0.0))
+"""A firmness tester held by hand: a ball of 5 mm across, 1 mm deep; it has no spring."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What is pressed: a block, or one under a skin that adheres to it."""
+
+    poissons_ratio: float = POISSONS_RATIO
+    """Of block and skin."""
+    skin_mm: float = 0.0
+    """Its thickness, of the block's own; 0: none."""
+    skin_ratio: float = 1.0
+    """Its modulus over that of the block, which is the one that forces are over."""
+
+
 USED = {"00": "hertz", "A": "qi"}
 """The relation that gelsim.scene.materials takes."""
 
@@ -140,11 +156,19 @@ def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "bal
         SolveError: The press did not come anywhere.
     """
     instrument = SCALES[scale]
-    depth = instrument.depth(instrument.readings[0])
+    return sample_curve(instrument, instrument.depth(instrument.readings[0]), Sample(poissons_ratio), friction, fidelity)
+
+
+def sample_curve(
+    instrument: Durometer, depth: float, sample: Sample, friction: float | str = STICK, fidelity: str = "balanced"
+) -> Curve:  # fmt: skip
+    """Presses a tip to a depth [m], or as far as there is a solution. Raises SolveError: It did not come anywhere."""
     sizes = _tip_sizes(instrument, fidelity)
-    press = _press(_block(friction, fidelity, depth, poissons_ratio=poissons_ratio), rigid_profile(instrument.tip(3 * depth), sizes), sizes)
+    tip = rigid_profile(instrument.tip(3 * depth), sizes)
+    press = _press(_block(friction, fidelity, depth, poissons_ratio=sample.poissons_ratio), tip, sizes, sample=sample)
     if len(press.approach) < 4:
-        raise SolveError(f"durometer {scale}, friction {friction}: stopped at {press.approach[-1] * 1e3:.3g} mm, {press.message}")
+        reached = f"{press.approach[-1] * 1e3:.3g} mm"
+        raise SolveError(f"durometer {instrument.scale}, friction {friction}: stopped at {reached}, {press.message}")
     return Curve(press.approach, press.force)
 
 
@@ -339,7 +363,9 @@ class _BoreEnough(Exception):
     """Ends a march."""
 
 
-def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least_share: float = 0.0) -> _Pressed:
+def _press(
+    scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least_share: float = 0.0, sample: Sample | None = None
+) -> _Pressed:  # fmt: skip
     """Presses until the tip carries less than `least_share` of the whole; what touches nearer to the axis than the hole is the tip's."""
     from gelsim.fem import quiet_warp
 
@@ -348,8 +374,10 @@ def _press(scene: Scene, tip: PlanarMesh, sizes: Callable[[Array], Array], least
     from gelsim.fem.planar.recording import PlanarRecorder
     from gelsim.fem.quasistatic import run_press
 
-    block = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes)
-    problem = PlanarProblem(scene, block, tip, ElasticMaterial.from_modulus(MODULUS, scene.gel.poissons_ratio), None, None)
+    sample = sample or Sample(scene.gel.poissons_ratio)
+    block = gel_profile(scene, BLOCK_RADIUS_MM * MM, np.zeros((0, 2)), sizes, sample.skin_mm * MM)
+    moduli = (MODULUS, MODULUS * sample.skin_ratio)
+    problem = PlanarProblem(scene, block, tip, [ElasticMaterial.from_modulus(each, sample.poissons_ratio) for each in moduli], None, None)
     contact, solids = problem.contact, problem.solids
     states: list[tuple[float, float]] = []
 

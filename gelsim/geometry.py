@@ -95,6 +95,13 @@ class PlanarMesh:
     """Node indices, shape (T, 6), counter-clockwise with x to the right and z up; none for a rigid object."""
     groups: dict[str, NDArray[np.int32]] = field(default_factory=dict)
     """Named sets of boundary edges (start, end, middle), each (E, 3), the solid on the left; as of `TetMesh`."""
+    regions: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    """Of which material each triangle is, shape (T,): 0 unless given."""
+
+    def __post_init__(self) -> None:
+        regions = self.regions if len(self.regions) else np.zeros(len(self.triangles))
+        object.__setattr__(self, "regions", np.ascontiguousarray(regions, np.int32))
+        assert self.regions.shape == (len(self.triangles),)
 
 
 def tet_volumes(vertices: NDArray[np.float64], tets: NDArray[np.int32]) -> NDArray[np.float64]:

@@ -172,6 +172,10 @@ def check_row(row: object, where: str) -> None:
     rank = row.get("hardness_class", 0)
     if not isinstance(rank, int) or isinstance(rank, bool) or not 0 <= rank < MOST_CLASSES:
         raise DatasetError(f"{where}: hardness_class = {rank!r}: expected a whole number, 0 (the softest) … {MOST_CLASSES - 1}")
+    stiffness = row.get("stiffness_n_mm")
+    # A NaN is within no bounds.
+    if stiffness is not None and (not isinstance(stiffness, (int, float)) or isinstance(stiffness, bool) or not 0 < stiffness < np.inf):
+        raise DatasetError(f"{where}: stiffness_n_mm = {stiffness!r}: expected more than 0 N/mm, null where it is not known")
     if "field_mm" in row:
         _check_field(row["field_mm"], where)
 

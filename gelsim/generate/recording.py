@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.data import firmness
 from gelsim.data.episodes import episode_file, field_seen, gel_facts
 from gelsim.data.motion import Motion, pack, unpack
 from gelsim.errors import MeshingError, SceneError, SolveError, SolveStatus
@@ -168,11 +169,12 @@ def record(catalogue: Catalogue, press: Press, end: int, motion: Motion, studio:
     duration = max(np.count_nonzero(approach > 0), 1) / scene.camera.fps
     speed = float(np.clip(far / MM / duration, 1e-3, 1000.0))
     told = scene.replace(press=replace(scene.press, depth_mm=far / MM, force_n=None, speed_mm_s=speed))
-    natural = press.group.number == 5
+    stiffness = firmness.stiffness(body)
     row = {
         "index": draw.index, "object": press.object.name, "group": press.group.number, "shape": body.shape,
         "radius_mm": body.radius_mm if SHAPES[body.shape].has_radius else None,
-        "shore_00": None if body.rigid or natural else body.shore_00, "rigid": body.rigid,
+        "shore_00": firmness.shore_00(body), "rigid": body.rigid,
+        "stiffness_n_mm": None if stiffness is None else round(stiffness, 6),
         "motion": press.group.motion, "domain": "sim", "mechanics": f"{press.number:06d}",
         "sensor": f"{scene.sensor.preset}-{press.sensor}", "body_shore_00": None if body.rigid else body.shore_00, "split": press.split,
     } | ({"ended_early": short} if short else {})  # fmt: skip

@@ -108,19 +108,22 @@ def _field(half: float, bottom: float, top: float, edge: float, sizes: MeshSizes
 
 
 # ---------------------------------------------------------------------------------------------------------------- the two bodies
-def gel_profile(scene: Scene, end: float, rims: Array, sizes: Sizes) -> PlanarMesh:
-    """The gel from the axis to `end` [m]; its edges end below `rims` (K, 2)."""
+def gel_profile(scene: Scene, end: float, rims: Array, sizes: Sizes, skin: float = 0.0) -> PlanarMesh:
+    """The gel from the axis to `end` [m]; its edges end below `rims` (K, 2), and at the foot of a `skin` [m], which is region 1."""
     thickness = scene.gel.thickness_mm * MM
     stops = np.unique([0.0, *rims[:, 0], end])
     columns = [
         a + (b - a) * np.arange(n) / n for a, b in zip(stops[:-1], stops[1:], strict=True) for n in [max(1, round((b - a) / thickness))]
     ]
     x = np.concatenate([*columns, [end]])
-    grid = np.stack(np.meshgrid(x, [-thickness, 0.0], indexing="ij"), axis=-1).reshape(-1, 2)
-    low = 2 * np.arange(len(x) - 1)
-    faces = np.vstack([np.stack([low, low + 2, low + 3], 1), np.stack([low, low + 3, low + 1], 1)]).astype(np.int32)
+    levels = [-thickness, -skin, 0.0] if skin else [-thickness, 0.0]
+    high = len(levels)
+    grid = np.stack(np.meshgrid(x, levels, indexing="ij"), axis=-1).reshape(-1, 2)
+    low = (high * np.arange(len(x) - 1)[:, None] + np.arange(high - 1)).ravel()
+    faces = np.vstack([np.stack([low, low + high, low + high + 1], 1), np.stack([low, low + high + 1, low + 1], 1)]).astype(np.int32)
     vertices, faces = refine(grid, faces, sizes)
     nodes, triangles = _quadratic(vertices, faces)
+    regions = (vertices[faces, 1].mean(axis=1) > -skin).astype(np.int32)
     edges = _boundary(triangles)
     middle = nodes[edges[:, 2]]
     groups = {
@@ -130,7 +133,7 @@ def gel_profile(scene: Scene, end: float, rims: Array, sizes: Sizes) -> PlanarMe
     }
     share = (nodes[:, 1] + thickness) / thickness
     nodes[:, 1] = np.where(share == 0.0, nodes[:, 1], share * (thickness + gel_height(scene.gel, nodes * [1.0, 0.0])) - thickness)
-    return PlanarMesh(nodes, triangles, groups)
+    return PlanarMesh(nodes, triangles, groups, regions)
 
 
 def _object(segments: tuple[Segment, ...], sizes: Sizes) -> PlanarMesh:

@@ -10,8 +10,11 @@ import pytest
 
 from gelsim import durometer
 from gelsim.cli import main as cli
+from gelsim.data import firmness
+from gelsim.durometer import Sample
 from gelsim.errors import GelsimError
 from gelsim.scene import materials
+from gelsim.scene.definition import Body, Skin
 
 TIP = materials.TIP_RADIUS
 
@@ -128,5 +131,31 @@ def test_a_foam_is_pressed_as_hertz_says_when_shallow_and_reads_what_its_modulus
         first, second = (silicone.at(depth) / foam.at(depth) * 0.75 / (1 - nu**2) for depth in depths)
         # Linear in sqrt(d), whose ratio here is 2: what it tends to. The next term, in d, is some 1 % at 0.2 mm.
         assert 2 * first - second == pytest.approx(1.0, abs=0.01)
-    for value, far in ((10.0, 4.0), (40.0, 2.0), (70.0, 1.5)):  # labels of foams in plans: docs/datasets.md
-        assert abs(durometer.reading(durometer.modulus(value, fidelity="fast"), fidelity="fast", poissons_ratio=0.0) - value) < far
+
+
+def test_labels_of_foams_and_skins_between_those_of_the_table_are_what_presses_say() -> None:
+    """The silicone in which the tip stands as deep (gelsim.data.firmness), by presses of a foam, of a tomato's skin and of silicone."""
+    tip, depth = durometer.SCALES["00"], firmness.DEPTHS_MM[-1] * 1e-3
+    silicone, readings = durometer.sample_curve(tip, depth, Sample(), fidelity="fast"), np.linspace(0.0, 98.0, 981)
+    for sample in (Sample(0.15), Sample(skin_mm=1.1, skin_ratio=12.0)):
+        pressed = durometer.sample_curve(tip, depth, sample, fidelity="fast")
+        off = []
+        for shore in (5.0, 10.0, 30.0, 50.0):
+            modulus = materials.modulus_from_shore_00(shore)
+            stands = tip.depth(readings[np.argmax([tip.spring(h) > modulus * pressed.at(tip.depth(h)) for h in readings])])
+            alike = materials.shore_00_from_modulus(modulus * pressed.at(stands) / silicone.at(stands))
+            skin = Skin(sample.skin_mm, youngs_modulus_kpa=sample.skin_ratio * modulus / 1e3) if sample.skin_mm else Skin()
+            told = firmness.shore_00(Body(shore_00=shore, poissons_ratio=sample.poissons_ratio, skin=skin))
+            # The point that issues ask for; `reference` presses give docs/datasets.md's figure.
+            assert told == pytest.approx(alike, abs=1.0)
+            off.append(abs(shore - alike))
+        # Planted: labelled by the modulus of the body alone.
+        assert max(off) > 1.0
+
+
+def test_a_skin_of_the_blocks_own_modulus_is_no_skin() -> None:
+    bare, skinned = (durometer.sample_curve(durometer.TESTER, 1e-3, Sample(skin_mm=skin), fidelity="fast") for skin in (0.0, 1.0))
+    # Another mesh of `fast`, whose own error is below a percent. Planted, a skin of twice the modulus: 12 % more.
+    assert skinned.at(1e-3) == pytest.approx(bare.at(1e-3), rel=0.01)
+    harder = durometer.sample_curve(durometer.TESTER, 1e-3, Sample(skin_mm=1.0, skin_ratio=2.0), fidelity="fast")
+    assert harder.at(1e-3) > 1.1 * bare.at(1e-3)

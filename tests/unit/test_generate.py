@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,8 +22,10 @@ import pytest
 from dataset_fixtures import TINY, contents, formula_field, put_fields
 
 from gelsim import generate as generating
+from gelsim.data import firmness
 from gelsim.data.episodes import load_dataset
 from gelsim.data.lightfield import write_field
+from gelsim.data.motion import Motion
 from gelsim.errors import DatasetError, SceneError, SolveStatus
 from gelsim.generate import recording, run
 from gelsim.generate.done import Done
@@ -32,6 +35,7 @@ from gelsim.generate.relight import relight, sensor_scene
 from gelsim.generate.run import Book, Extent, Hands, generate, make_worker, report_of
 from gelsim.optics import bake
 from gelsim.results import Deformation
+from gelsim.scene.definition import Body
 from gelsim.scene.layers import build_scene
 from gelsim.work import workers
 from gelsim.work.workers import LocalCrew, WorkError, work_through
@@ -314,6 +318,29 @@ def test_families_are_seen_8_to_40_mm_wide_and_8_to_60_times_a_second():
     press = catalogue.press(0)
     scene = press.scene.replace(camera=replace(press.scene.camera, fps=rates[0]))
     assert bake.field_key(scene) == bake.field_key(press.scene)
+
+
+def test_rows_tell_what_a_durometer_reads_and_how_firm_it_is():
+    x, y = (axis.ravel() * 1e-3 for axis in np.meshgrid(np.arange(5.0), np.arange(5.0)))
+    places, share = np.column_stack([x, y]), np.array([0.0, 0.5, 1.0])
+    pressed = share[:, None, None] * np.column_stack([0 * x, 0 * x, -1e-3 - 0.1 * x])
+    motion = Motion(share * 2e-3, share[:, None] * np.array([0.0, 0.0, -2.0]), share * 1e-5, places, pressed)
+
+    def row(plan: str, wanted: Callable[[Body], bool]) -> tuple[Body, dict[str, Any]]:
+        catalogue = Catalogue(load_plan(plan), 0)
+        press = next(press for press in map(catalogue.press, range(500)) if wanted(press.scene.object))
+        return press.scene.object, recording.record(catalogue, press, 0, motion, None).episode.row
+
+    foam, of_foam = row("families", lambda body: body.poissons_ratio < 0.3 and not body.rigid)
+    assert of_foam["shore_00"] == firmness.shore_00(foam) != foam.shore_00 == of_foam["body_shore_00"]
+    # A skin of Shore A 20 or more on flesh of 00-10 to 55, a millimetre thick.
+    tomato, of_tomato = row("paper2017", lambda body: body.shape == "tomato")
+    assert of_tomato["shore_00"] > of_tomato["body_shore_00"] + 3 and of_tomato["stiffness_n_mm"] == pytest.approx(
+        firmness.stiffness(tomato)
+    )
+    for shape, rigid in (("candy", False), ("hemisphere", True)):
+        _, told = row("paper2017", lambda body, shape=shape, rigid=rigid: body.shape == shape and body.rigid == rigid)
+        assert told["shore_00"] is None and told["stiffness_n_mm"] is None and (told["body_shore_00"] is None) == rigid
 
 
 def test_folders_that_cannot_be_used(tmp_path: Path):

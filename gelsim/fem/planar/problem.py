@@ -39,10 +39,11 @@ class PlanarProblem(PressProblem):
 
     Args:
         gel, body: As they just touch; a `body` without triangles is rigid.
+        gel_material: Of each of the gel's regions, where it has several.
         depth_mm: How long the bodies are along y in plane strain; None for bodies of revolution.
     """
 
-    def __init__(self, scene: Scene, gel: PlanarMesh, body: PlanarMesh, gel_material: ElasticMaterial,
+    def __init__(self, scene: Scene, gel: PlanarMesh, body: PlanarMesh, gel_material: ElasticMaterial | Sequence[ElasticMaterial],
                  object_material: ElasticMaterial | None, depth_mm: float | None, *, tolerance: float | None = None) -> None:  # fmt: skip
         self.scene, self.object_material, self.held = scene, object_material, 0.0
         self.gel, self.body = gel, body  # type: ignore[assignment]
@@ -55,29 +56,30 @@ class PlanarProblem(PressProblem):
         fixed[:, 1] = True
         fixed[np.abs(rest[:, 0]) < 1e-9, 0] = True
         fixed[gel.groups["bonded"]] = True
-        meshes = [(gel, gel_material, 0)]
+        kinds = [gel_material] if isinstance(gel_material, ElasticMaterial) else list(gel_material)
+        triangles, self.regions = [gel.triangles], gel.regions
         if len(body.triangles):
             assert object_material is not None
             self.driven = n + np.unique(body.groups["base"])
-            meshes.append((body, object_material, n))
+            triangles.append(body.triangles + n)
+            self.regions = np.concatenate([gel.regions, np.full(len(body.triangles), len(kinds), np.int32)])
+            kinds.append(object_material)
         else:
             self.driven = self.object_nodes
         fixed[self.driven] = True
 
-        ogden = any(material.law == "ogden" for _, material, _ in meshes)
-        triangles = np.concatenate([mesh.triangles + shift for mesh, _, shift in meshes]).astype(np.int32)
-        counts = [len(mesh.triangles) for mesh, _, _ in meshes]
+        ogden = any(material.law == "ogden" for material in kinds)
 
         def each(values: Sequence[Array] | Sequence[float]) -> Array:
-            return np.repeat(np.array(values), counts, axis=0)
+            return np.array(values)[self.regions]
 
-        self.quadrature: PlanarQuadrature = planar_quadrature(rest, triangles, self.turned)
-        law = each([isochoric_constants(material, ogden) for _, material, _ in meshes])
-        self.solids = PlanarSolids(rest, triangles, self.quadrature, law, each([m.kappa * KPA_PER_PA for _, m, _ in meshes]), fixed, "cpu")
-        self.regions = each([0, 1][: len(meshes)])
+        everything = np.concatenate(triangles).astype(np.int32)
+        self.quadrature: PlanarQuadrature = planar_quadrature(rest, everything, self.turned)
+        law = each([isochoric_constants(material, ogden) for material in kinds])
+        self.solids = PlanarSolids(rest, everything, self.quadrature, law, each([m.kappa * KPA_PER_PA for m in kinds]), fixed, "cpu")
         self.memory = None
-        self.shear = each([material.mu * KPA_PER_PA for _, material, _ in meshes])
-        softest = min(material.youngs_modulus for _, material, _ in meshes) * KPA_PER_PA
+        self.shear = each([material.mu * KPA_PER_PA for material in kinds])
+        softest = min(material.youngs_modulus for material in kinds) * KPA_PER_PA
         friction = ContactLaw.coefficient(scene.contact)
         self.law = ContactLaw(PENALTY_PER_MODULUS * softest, SMOOTHING_MM, friction, STICK_PER_MODULUS * softest)
         edges = (body.groups["contact"] + n).astype(np.int32)
