@@ -46,6 +46,7 @@ Row = dict[str, float | None]
 BLOCK_MM, BLOCK_RADIUS_MM = 12.0, 30.0
 """The standard asks for 6 mm at least, and for 12 mm from the tip to the block's edge."""
 POISSONS_RATIO = 0.4999
+NO_SKIN = (0.0, 1.0)
 READINGS = (8, 10, 14, 17, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 87, 90)
 STATES = 49
 MODULUS = 100e3
@@ -149,14 +150,19 @@ class Curve:
 
 
 @lru_cache
-def press_curve(scale: str, friction: float | str = SMOOTH, fidelity: str = "balanced", poissons_ratio: float = POISSONS_RATIO) -> Curve:
+def press_curve(
+    scale: str, friction: float | str = SMOOTH, fidelity: str = "balanced", poissons_ratio: float = POISSONS_RATIO,
+    skin: tuple[float, float] = NO_SKIN,
+) -> Curve:  # fmt: skip
     """Presses the tip of a scale into a block, without a foot, to the depth of the softest reading or as far as there is a solution.
 
+    Args:
+        skin: Its thickness [mm], and its modulus over the block's.
     Raises:
         SolveError: The press did not come anywhere.
     """
     instrument = SCALES[scale]
-    return sample_curve(instrument, instrument.depth(instrument.readings[0]), Sample(poissons_ratio), friction, fidelity)
+    return sample_curve(instrument, instrument.depth(instrument.readings[0]), Sample(poissons_ratio, *skin), friction, fidelity)
 
 
 def sample_curve(
@@ -189,17 +195,21 @@ def modulus(
 
 def reading(
     youngs_modulus: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced",
-    poissons_ratio: float = POISSONS_RATIO,
+    poissons_ratio: float = POISSONS_RATIO, skin: tuple[float, float] = NO_SKIN,
 ) -> float:  # fmt: skip
-    """The reading of a block of a modulus [Pa], by bisection: E grows with the reading.
+    """The reading of a block of a modulus [Pa], `skin` on (`press_curve`), by bisection: E grows with the reading.
 
     Raises:
         MaterialError: It would lie outside the instrument's range.
     """
-    instrument, curve = SCALES[scale], press_curve(scale, friction, fidelity, poissons_ratio)
+    instrument, curve = SCALES[scale], press_curve(scale, friction, fidelity, poissons_ratio, skin)
+
+    def modulus_at(reading: float) -> float:
+        return instrument.spring(reading) / curve.at(instrument.depth(reading))
+
     low, high = instrument.readings
     low = max(low, 100.0 * (1.0 - curve.depth[-1] / instrument.travel))
-    ends = [modulus(each, scale, friction, fidelity, poissons_ratio=poissons_ratio) for each in (low, high)]
+    ends = [modulus_at(each) for each in (low, high)]
     if not ends[0] <= youngs_modulus <= ends[1]:
         raise MaterialError(
             f"durometer {scale}: E = {youngs_modulus / 1e3:g} kPa reads outside {low:g}…{high:g}; "
@@ -207,8 +217,7 @@ def reading(
         )
     for _ in range(50):
         middle = 0.5 * (low + high)
-        softer = modulus(middle, scale, friction, fidelity, poissons_ratio=poissons_ratio) < youngs_modulus
-        low, high = (middle, high) if softer else (low, middle)
+        low, high = (middle, high) if modulus_at(middle) < youngs_modulus else (low, middle)
     return 0.5 * (low + high)
 
 

@@ -76,6 +76,7 @@ DUROMETER_EXAMPLES = """\
 examples:
   gelsim durometer --shore 30                       the modulus that reads 00-30
   gelsim durometer --modulus-kpa 100 --friction 0   what a block of 100 kPa reads under a tip that slides
+  gelsim durometer --modulus-kpa 100 --skin-mm 1 --skin-kpa 800      and under a skin, as a tomato's
   gelsim durometer --out out/durometer              the whole scale beside the published relations: table and plot
   gelsim durometer --shore 40 --foot --friction 0.15   with the foot on the block, both sliding
 
@@ -220,6 +221,8 @@ def _parser() -> Parser:
     durometer.add_argument(
         "--poissons-ratio", type=float, metavar="NU", help="of the block, 0 … 0.49999: a foam's is 0 to 0.3 (default: 0.4999)"
     )
+    durometer.add_argument("--skin-mm", type=float, metavar="T", help="thickness of a skin on the block, with --skin-kpa and --modulus-kpa")
+    durometer.add_argument("--skin-kpa", type=float, metavar="E", help="its Young's modulus [kPa]")
     durometer.add_argument("--foot", action="store_true", help="the foot rests on the block too, with the stand's dead load")
     durometer.add_argument(
         "--fidelity", choices=("fast", "balanced", "reference"), default="balanced", help="of the mesh (default: balanced)"
@@ -556,7 +559,9 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
     from gelsim import durometer
     from gelsim.pipeline.outputs import ResultFolder
 
-    friction = _friction(options.friction)
+    friction, given = _friction(options.friction), (options.modulus_kpa, options.skin_mm, options.skin_kpa)
+    if given[1:] != (None, None) and None in given:
+        raise SceneError("durometer: --skin-mm, --skin-kpa and --modulus-kpa go together")
     if options.modulus_kpa is None and options.shore is None:
         if options.poissons_ratio is not None:
             raise SceneError("--poissons-ratio goes with --shore or --modulus-kpa")
@@ -580,7 +585,14 @@ def _durometer(options: argparse.Namespace) -> dict[str, Any]:
         if options.foot:
             raise SceneError("--foot goes with --shore, or with the whole scale: its press is made for a reading")
         found["modulus_kpa"] = options.modulus_kpa
-        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity, nu)
+        skin = durometer.NO_SKIN
+        if options.skin_mm is not None:
+            if not (0 < options.skin_mm < durometer.BLOCK_MM and options.skin_kpa > 0 and options.modulus_kpa > 0):
+                said = f"--skin-mm {options.skin_mm:g} mm, --skin-kpa {options.skin_kpa:g} kPa on {options.modulus_kpa:g} kPa"
+                raise SceneError(f"durometer: {said}: allowed are more than 0, and less than the block's {durometer.BLOCK_MM:g} mm")
+            skin = options.skin_mm, options.skin_kpa / options.modulus_kpa
+            found |= {"skin_mm": options.skin_mm, "skin_kpa": options.skin_kpa}
+        found["reading"] = durometer.reading(options.modulus_kpa * 1e3, options.scale, friction, options.fidelity, nu, skin)
     else:
         found["reading"] = options.shore
         found["modulus_kpa"] = durometer.modulus(options.shore, options.scale, friction, options.fidelity, options.foot, nu) / 1e3

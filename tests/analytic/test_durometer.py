@@ -107,6 +107,11 @@ def test_there_and_back() -> None:
         ["--modulus-kpa", "50", "--foot"],
         ["--shore", "30", "--friction", "some"],
         ["--shore", "30", "--friction", "nan"],
+        ["--shore", "30", "--skin-mm", "1", "--skin-kpa", "800"],
+        ["--modulus-kpa", "100", "--skin-mm", "1"],
+        ["--modulus-kpa", "100", "--skin-mm", "12", "--skin-kpa", "800"],
+        ["--modulus-kpa", "100", "--skin-mm", "1", "--skin-kpa", "0"],
+        ["--modulus-kpa", "0", "--skin-mm", "1", "--skin-kpa", "800"],
     ],
 )
 def test_what_no_durometer_reads_is_one_line(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,6 +124,9 @@ def test_the_command_says_both_directions(capsys: pytest.CaptureFixture[str]) ->
     there = json.loads(capsys.readouterr().out)
     assert cli.main(["durometer", "--modulus-kpa", str(there["modulus_kpa"]), "--fidelity", "fast", "--friction", "0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["reading"] == pytest.approx(30.0, abs=1e-6)
+    flags = ["--modulus-kpa", str(there["modulus_kpa"]), "--skin-mm", "1", "--skin-kpa", "500", "--fidelity", "fast", "--json"]
+    assert cli.main(["durometer", *flags]) == 0
+    assert json.loads(capsys.readouterr().out)["reading"] > 35.0
     with pytest.raises(GelsimError):
         durometer.modulus(30.0, "B")
 
