@@ -1,7 +1,8 @@
-"""Rigid presses drawn for `live`: balls, cylinders, boxes, letters, screws and textures, by six motions, to three depths.
+"""Presses drawn for `live`: balls, cylinders, boxes, letters, screws and textures, by six motions, to three depths; from number SOFT on
+balls, cylinders and boxes that are soft.
 
-Press i of a seed is the same whatever ran before it: its numbers come from SeedSequence(seed, spawn_key=(i,)); of 36 in a row each kind
-goes each way once. Letters and screws are mesh files, written where they are asked for. What was solved is kept as press.npz.
+Press i of a seed is the same whatever ran before it: its numbers come from SeedSequence(seed, spawn_key=(i,)); of 36 rigid ones in a row
+each kind goes each way once. Letters and screws are mesh files, written where they are asked for. What was solved is kept as press.npz.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ STEP = 0.05
 DEEPEST, RIMMED = {"ball": 0.4, "cylinder": 0.4}, 0.25
 """Of the thickness: where presses end, and where others do, as around a deep rim finite elements take minutes or find no equilibrium."""
 
+SOFT = 100
+"""Number of the first soft press."""
+SHORE_00 = 10, 70
+"""Of soft ones."""
 KINDS = ("ball", "cylinder", "box", "letter", "screw", "texture")
 MOTIONS = ("centred", "tilted", "off centre", "sheared", "twisted", "released")
 
@@ -89,6 +94,11 @@ def draw(index: int, seed: int = SEED) -> tuple[str, Layer]:
         press["shear_mm"] = aside(0.2 * deepest, 1.2 * deepest)
     elif way == "twisted":
         press["twist_deg"] = between(3.0, 15.0)
+    if index >= SOFT:
+        del body["rigid"]
+        body.pop("edge_radius_mm", None)
+        body["shore_00"] = int(rng.integers(SHORE_00[0], SHORE_00[1] + 1))
+        name = f"{name.partition(',')[0] if kind == 'box' else name}, Shore 00-{body['shore_00']}"
     if way == "released":
         low, high = STEP * THICKNESS_MM, (last + STEP) * THICKNESS_MM
         steps = round(last / STEP) + 1
@@ -108,6 +118,8 @@ def draw(index: int, seed: int = SEED) -> tuple[str, Layer]:
 
 def kind_of(index: int) -> tuple[str, str]:
     """What is pressed, and how it moves."""
+    if index >= SOFT:
+        return KINDS[(index - SOFT) % 3], MOTIONS[(index - SOFT) * 5 // 3 % 6]
     return KINDS[index % 6], MOTIONS[(index + index // 6) % 6]
 
 

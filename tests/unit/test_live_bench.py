@@ -30,6 +30,17 @@ def test_of_36_presses_each_kind_goes_each_way_once(tmp_path: Path) -> None:
             assert steps.argmax() < len(steps) - len(live_presses.shares_of(index))  # it is looked at on the way back
 
 
+def test_soft_presses_are_drawn_beside_the_rigid_ones(tmp_path: Path) -> None:
+    """And may be twice as far off."""
+    for index in range(live.COUNT, live.COUNT + live.SOFT_COUNT):
+        scene = mesh_parts.built(live_presses.draw(index)[1], tmp_path)
+        assert not scene.object.rigid and 10 <= (scene.object.shore_00 or 0) <= 70
+    assert not any("shore_00" in live_presses.draw(index)[1]["object"] for index in range(live.COUNT))
+    assert len({live_presses.kind_of(index) for index in range(live.COUNT, live.COUNT + live.SOFT_COUNT)}) == live.SOFT_COUNT
+    row = {"share": 0.25, "height_um": 10.0, "picture_db": 35.0 - 20 * np.log10(2), "soft": True}
+    assert live.excess(row) == pytest.approx(1.0) and live.excess(row | {"soft": False}) == pytest.approx(2.0)
+
+
 def test_a_press_is_solved_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = {
         "gel": {"profile": "flat"},
@@ -106,7 +117,7 @@ def test_one_worker_measures_what_one_press_says_at_all_its_depths(tmp_path: Pat
 
     monkeypatch.setattr(runner, "work_through", work_through)
     runner.run(tmp_path, Options(("live",)), workers=2)
-    depths = [len(live_presses.shares_of(index)) for index in range(live.COUNT)]
+    depths = [len(live_presses.shares_of(index)) for index in range(live.COUNT + live.SOFT_COUNT)]
     finer = [len(live_presses.shares_of(index)) for index in live.TWICE]
     assert [len(handful) for handful in handed] == [*depths, *finer, *([1] * len(live.LOOPS))]
     assert all(len({name.rpartition(":")[0] for name in handful}) == 1 for handful in handed)
