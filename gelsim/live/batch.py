@@ -120,6 +120,8 @@ class LiveBatch:
         if not self.objects:
             raise SceneError("objects = []: a batch has 1 or more; leave it out for the scene's own")
         for body in self.objects:
+            if not body.rigid:
+                raise SceneError("object.rigid = false: a batch takes rigid ones; set object.rigid = true, or use gelsim.LiveSensor")
             check_scene(replace(scene, object=body), "a live sensor", "gelsim.press")
         if device == "cuda" and not torch.cuda.is_available():
             raise RenderError("device = 'cuda': PyTorch finds no GPU here; use device = 'cpu' or 'auto'")

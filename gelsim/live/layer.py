@@ -31,6 +31,7 @@ does to heights and pressure, inertia, viscosity, the slope of the object in Cou
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -46,7 +47,7 @@ Values = NDArray[np.float32]
 CELL_MM = 0.2
 """Of the grid, at most."""
 THINNING = 0.3
-"""Of the mean indentation, with friction; without, the layer keeps its thickness (docs/live.md has both)."""
+"""Of the mean indentation, with friction; without, the layer keeps its thickness."""
 STIFFENING, FLATNESS = 0.59, 16.0
 """Of `stiffening`: least squares over punches, frusta, tori, tubes, wedges and balls at `balanced`, with friction of 0.25 to 1, of which
 53 % are within the bounds of docs/live.md without it, 82 % with it."""
@@ -67,6 +68,8 @@ SETTLED = 5e-4
 """Relative change of the pressure, and of the thickness, at which the rounds end."""
 NODES = 0.01
 """Relative distance of the thicknesses whose answers are computed; between two they are interpolated."""
+WIDE = 4.0
+"""Thicknesses of a soft object's layer, after which it is repeated."""
 KEPT = 256
 """Answers of windows and thicknesses that a layer keeps, 0.2 MB each for 128 × 128 cells."""
 ALONE = 2**18
@@ -109,7 +112,7 @@ def waves(poissons_ratio: float) -> tuple[NDArray[np.float64], ...]:
 
 @dataclass(frozen=True)
 class Elastic:
-    """Of the gel."""
+    """Of the gel, or of a soft object."""
 
     shear_kpa: float
     poissons_ratio: float
@@ -161,6 +164,14 @@ class Layer:
         (zz, xx, yy, xy), (xz, yz) = found[:4].real, found[4:].imag
         return keep(self._nodes, (shape, node), np.stack([zz, xx, yy, -xy, xy, xy, -xy, -xz, xz, -yz, yz]), KEPT)
 
+    def under(self, material: Elastic, thickness: float) -> Layer:
+        """Another layer over the same cells, so wide that one of this thickness [mm] does not end."""
+        other = copy.copy(self)
+        counts = [2 * int(fft.next_fast_len(int(np.ceil(WIDE * thickness / cell / 2)), real=True) or 1) for cell in self.cell]
+        other.material, other.shape = material, (max(counts[1], self.shape[0]), max(counts[0], self.shape[1]))
+        other._nodes, other._spaces = {}, {}
+        return other
+
     def _space(self, node: int) -> Values:
         """The same as the motion of every cell by a traction on the first, (6, rows, columns)."""
         if node in self._spaces:
@@ -184,6 +195,11 @@ class Layer:
         xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
         xx[0, 0] = yy[0, 0] = thickness / shear
         return np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd]).astype(np.complex64)
+
+
+def nearest_node(thickness: float) -> int:
+    """The thickness of whose answers are computed that is nearest [mm]: (1 + NODES)^node."""
+    return round(math.log(thickness) / math.log1p(NODES))
 
 
 def keep(table: dict[Any, T], key: Any, value: T, most: int) -> T:
@@ -403,6 +419,98 @@ class Window:
         """The answers, by the parities of their outcome those that change them."""
         ways = self.answers
         return ways[0], ways[1], ways[2], ways[3:7].reshape(2, 2, *ways.shape[1:]), ways[7:9], ways[9:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class SoftBody:
+    """A soft object over a window: a layer of its own, whose face moves as a whole too (gelsim/live/soft.py)."""
+
+    layer: Layer
+    node: int
+    """Of its thickness (1 + NODES)^node."""
+    compliance: NDArray[np.float64]
+    """Of that motion, linear before angular, by forces and torques about the apex, (6, 6) [mm, rad by mN, mN mm]."""
+    apex: NDArray[np.float64]
+    """Where it lies, (2,) [mm]."""
+    x: NDArray[np.float64]
+    """Of the window's columns [mm]."""
+    y: NDArray[np.float64]
+    """Of its rows."""
+
+    def motion(self, cell: float, pressure: Values | None, shear: Values | None) -> NDArray[np.float64]:
+        """The motion by tractions on the layer, whose opposites act here, (6,) [mm, rad]; `cell`: its area [mm²]."""
+        wrench = np.zeros(6)
+        if pressure is not None:
+            by_x, by_y = pressure.sum(axis=0), pressure.sum(axis=1)
+            wrench[2:5] = by_x.sum(), by_y @ self._beside[1], -(by_x @ self._beside[0])
+        if shear is not None:
+            wrench[:2] = -shear.sum(axis=(1, 2))
+            wrench[5] = shear[0].sum(axis=1) @ self._beside[1] - shear[1].sum(axis=0) @ self._beside[0]
+        return cell * (self.compliance @ wrench)
+
+    def along(self, motion: NDArray[np.float64]) -> Values:
+        """Of its face along the layer, (2, rows, columns) [mm]."""
+        x, y = self._beside
+        return np.stack(np.broadcast_arrays(motion[0] - motion[5] * y[:, None], motion[1] + motion[5] * x)).astype(np.float32)
+
+    def up(self, motion: NDArray[np.float64]) -> Values:
+        """Away from the layer, (rows, columns) [mm]."""
+        x, y = self._beside
+        return (motion[2] + motion[3] * y[:, None] - motion[4] * x).astype(np.float32)
+
+    @cached_property
+    def _beside(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of columns and rows from the apex [mm]."""
+        return self.x - self.apex[0], self.y - self.apex[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Facing(Window):
+    """A window against a soft object: how far tractions move the two apart."""
+
+    body: SoftBody
+
+    def _motion(self, pressure: Values | None, shear: Values | None) -> NDArray[np.float64]:
+        return self.body.motion(self.layer.cell[0] * self.layer.cell[1], pressure, shear)
+
+    def moved(self, pressure: Values, shear: Values) -> Values:
+        found, motion = super().moved(pressure, shear), self._motion(pressure, shear)
+        found[:2] -= self.body.along(motion)
+        found[2] -= self.body.up(motion)
+        return found
+
+    def sunk(self, pressure: Values) -> Values:
+        return super().sunk(pressure) + self.body.up(self._motion(pressure, None))
+
+    def alone(self, tractions: Values) -> Values:
+        found = super().alone(tractions)
+        found[0] += self.body.up(self._motion(tractions[0], None))
+        if len(tractions) > 1:
+            shear = np.stack([tractions[1], np.zeros_like(tractions[1])])
+            found[1] -= self.body.along(self._motion(None, shear))[0]
+        return found
+
+    def dragged(self, shear: Values) -> Values:
+        return super().dragged(shear) - self.body.along(self._motion(None, shear))
+
+    def lifted(self, shear: Values) -> Values:
+        return super().lifted(shear) - self.body.up(self._motion(None, shear))
+
+
+def against(window: Window, body: SoftBody | None) -> Window:
+    """A window against what it touches; None is rigid."""
+    return window if body is None else _facing(window, body, window.answers)
+
+
+def without(window: Window, body: SoftBody) -> Facing:
+    """A soft object over a window whose layer does not move."""
+    return _facing(window, body, np.zeros_like(window.answers))
+
+
+def _facing(window: Window, body: SoftBody, answers: Values) -> Facing:
+    opposite = body.layer._node(window.padded, body.node).copy()
+    opposite[7:] *= -1  # of faces that look at each other
+    return Facing(window.layer, window.shape, window.padded, window.thickness, answers + opposite, body)
 
 
 def pressure(window: Window, room: Values, start: Values, known: Values | None = None) -> tuple[Values, Values]:

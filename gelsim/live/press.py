@@ -7,8 +7,8 @@ writes a press takes this one too.
 The error is not computed from the press but looked up: beside finite elements (`gelsim bench --only live`, docs/studies/live_speed.py) it
 depends on how deep the press is, and on whether the object is round where it touches.
 
-Left out: what `gelsim.live` leaves out, which is soft objects, viscous gels, grooves, the gel's sides; the smallest det F, which nothing
-here has (NaN).
+Left out: what `gelsim.live` leaves out, such as viscous gels, grooves, the gel's sides; how a soft object's own surface is deformed; the
+smallest det F, which nothing here has (NaN).
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from scipy.spatial.transform import Rotation
 from gelsim.errors import PressEnd, SceneError, SolveStatus
 from gelsim.fem import rigid_placement
 from gelsim.geometry import QuadraticSurface, split_faces
-from gelsim.live.sensor import DEEPEST, LiveFrame, LiveSensor, check_scene
+from gelsim.live.sensor import LiveFrame, LiveSensor, check_scene
 from gelsim.results import Deformation, ErrorEstimate, SolveReport, SurfaceMotion
+from gelsim.scene import materials
 from gelsim.scene.definition import Scene
 from gelsim.scene.motion import Motion, motion, straight
 from gelsim.shape import shapes
-from gelsim.shape.orientation import turned
+from gelsim.shape.orientation import is_reoriented, turned
 from gelsim.units import MM, MM_PER_M
 
 Array = NDArray[np.float64]
@@ -42,6 +43,14 @@ OF_ROUND = ((0.03, 0.03, 0.04, 0.061, 0.081), (0.0, 3.3, 8.7, 11.2, 22.2))
 """Worst relative error of the force, and of the height [µm], of round objects by `SHARES`: sheared, twisted, released and domes too."""
 OF_EDGED = ((0.099, 0.099, 0.166, 0.213, 0.213), (0.0, 13.4, 41.1, 107.0, 107.0))
 """Likewise of all others; at 0.4 of boxes, by an older law of heights and forces; deeper none was compared."""
+OF_SOFT_ROUND = ((0.047, 0.047, 0.047, 0.047, 0.073), (0.0, 4.5, 4.5, 8.8, 16.1))
+"""Likewise of soft balls: R 3 to 20 mm, Shore 00-10 to 70, SLENDER, friction 0 to 1."""
+OF_SOFT_EDGED = ((0.363, 0.363, 0.099, 0.114, 0.114), (0.0, 9.2, 22.4, 42.5, 42.5))
+"""Of the other soft ones; at 0.1 of a leaning cylinder, at 0.25 of a torus; deeper none was compared."""
+SLENDER = 1.0, 4.0
+"""Height over radius of the soft balls that were compared: lower ones are slabs, of which forces are up to 25 % off, higher ones rods."""
+SOFTEST, MOST_LEAN_DEG = 0.7, 6.0
+"""Modulus of these over the gel's, at least, and their tilt, at most."""
 FORCE_TOLERANCE = 1e-3
 """Of a force that is sought."""
 MOST_WALKS = 5
@@ -53,7 +62,9 @@ FIRST_LOOK_MM = 0.05
 def expected_error(scene: Scene, approach_mm: float) -> tuple[float, float]:
     """Relative error of the force, and of the membrane [µm, root mean square over contact and neighbourhood], at an approach."""
     share = approach_mm / scene.gel.thickness_mm
-    known = OF_ROUND if scene.object.shape in ROUND else OF_EDGED
+    body = scene.object
+    tables = (OF_ROUND, OF_EDGED) if body.rigid else (OF_SOFT_ROUND, OF_SOFT_EDGED)
+    known = tables[body.shape not in ROUND]
     force, height = (float(np.interp(share, SHARES, values)) for values in known)
     return force, height
 
@@ -61,18 +72,27 @@ def expected_error(scene: Scene, approach_mm: float) -> tuple[float, float]:
 def live_error(scene: Scene) -> tuple[float, float] | None:
     """`expected_error` of a press that `live_press` is known to be good at, before it is walked; None of others.
 
-    Those are round rigid objects on an elastic gel, up to the deepest that was compared with finite elements, and a thickness away from its
-    sides, beyond which the baked gel goes on.
+    Those are round objects on an elastic gel, rigid or soft, up to the deepest that was compared with finite elements, and a thickness away
+    from its sides, beyond which the baked gel goes on.
     """
     body, gel = scene.object, scene.gel
     deepest = shapes.furthest_approach(scene) * MM_PER_M
-    suits = body.rigid and body.shape in ROUND and not gel.prony_g and motion(scene.press) is None
-    if not suits or deepest > SHARES[3] * gel.thickness_mm:
+    suits = body.shape in ROUND and not gel.prony_g and motion(scene.press) is None
+    if not suits or not (body.rigid or _known_soft(scene)) or deepest > SHARES[3] * gel.thickness_mm:
         return None
     assert body.radius_mm is not None
     wide = np.sqrt(2 * body.radius_mm * deepest) + gel.thickness_mm
     away = np.abs(scene.press.offset_mm) + np.abs(scene.press.shear_mm)
     return expected_error(scene, deepest) if (away + wide <= np.array(gel.size_mm) / 2).all() else None
+
+
+def _known_soft(scene: Scene) -> bool:
+    """Whether soft balls like a scene's were compared."""
+    body, (gel, *several) = scene.object, materials.press_materials(scene)
+    elastic = body.law == "neo-hookean" and not body.prony_g and len(several) == 1
+    slender = SLENDER[0] * body.radius_mm <= body.height_mm <= SLENDER[1] * body.radius_mm
+    upright = not is_reoriented(body) and np.hypot(*scene.press.tilt_deg) <= MOST_LEAN_DEG
+    return elastic and slender and upright and several[0].youngs_modulus >= SOFTEST * gel.youngs_modulus
 
 
 def live_press(scene: Scene, *, progress: Callable[[int, int], None] | None = None) -> Deformation:
@@ -81,7 +101,7 @@ def live_press(scene: Scene, *, progress: Callable[[int, int], None] | None = No
     Args:
         progress: Called with (states recorded, states wanted).
     Raises:
-        SceneError: The object is not rigid, the gel is viscous, or the object goes deeper than DEEPEST of the gel's thickness.
+        SceneError: What `LiveSensor` has not, or the object goes deeper than DEEPEST of the gel's thickness.
     """
     press, way = scene.press, motion(scene.press)
     walk = _Walk(scene, np.array([*press.tilt_deg, 0.0]) if way is None else way.turn[0], progress)
@@ -121,12 +141,8 @@ class _Walk:
         quaternion = Rotation.from_matrix(turned_by).as_quat()[[3, 0, 1, 2]]
         try:
             return self.sensor.step([*(shift * MM), *quaternion], 1.0)
-        except SceneError:
-            raise SceneError(
-                f'fidelity = "live": at an approach of {approach:.3g} mm the object is deeper in the gel than {DEEPEST:g} of '
-                f"gel.thickness_mm = {self.scene.gel.thickness_mm:g} mm, up to which it was measured; press less deep, or take "
-                "another fidelity"
-            ) from None
+        except SceneError as error:
+            raise SceneError(f'fidelity = "live": at an approach of {approach:.3g} mm: {error}; or take another fidelity') from None
 
     def pose(self, approach: float, shear: Array, turn: Array) -> tuple[Array, Array]:
         """The object's turn (3, 3) and shift [mm]: it goes down and sideways, and turns about its pivot."""

@@ -440,7 +440,7 @@ class Scene:
     markers: Markers = field(default_factory=Markers)
     render: Render = field(default_factory=Render)
     fidelity: str = "balanced"
-    """"live" | "fast" | "balanced" | "reference": how fine meshes and load steps are; live has none, for rigid objects (docs/live.md)."""
+    """"live" | "fast" | "balanced" | "reference": how fine meshes and load steps are; live has none (docs/live.md)."""
     target_error: float | str | None = None
     """Relative error of the force to stay below, 0.02 or "2%": the fidelity is chosen by it, and the one given is not used."""
     target_membrane_um: float | None = None

@@ -32,7 +32,7 @@ from viser import uplot
 from gelsim import optics
 from gelsim.data.episodes import field_seen
 from gelsim.errors import GelsimError, SceneError
-from gelsim.live.sensor import LiveFrame, LiveSensor
+from gelsim.live.sensor import LiveFrame, LiveSensor, check_scene
 from gelsim.membrane.surface import grid_faces, moved_membrane
 from gelsim.pipeline import outputs
 from gelsim.scene.definition import Body, Press, Scene
@@ -85,14 +85,14 @@ class LivePage:
         """Makes the sensor, then serves the page.
 
         Args:
-            scene: As for `LiveSensor`: sensor, friction and the first, rigid object.
+            scene: As for `LiveSensor`: sensor, friction and the first object.
             port: Of the page; the next that is free where it is taken; 0 is any.
             record: A folder that is not there yet, or empty, for what is done on the page.
             video_device: Number of a camera of this machine whose picture is shown too.
             device: "auto" | "cpu" | "cuda", of the pictures.
             progress: Told how far the measurement of a sensor's light is.
         Raises:
-            SceneError: A soft object, a viscous gel, a folder that holds files, or no such camera or port.
+            SceneError: What no live sensor has, a folder that holds files, or no such camera or port.
         """
         if not 0 <= port <= LAST_PORT:
             raise SceneError(f"--port {port}: allowed is 0 … {LAST_PORT}; 0 is any that is free")
@@ -142,8 +142,8 @@ class LivePage:
 
     def _made(self, scene: Scene) -> LiveSensor:
         scene = scene.replace(render=replace(scene.render, mode="baked"))
-        if scene.object.rigid:  # else LiveSensor says so, before minutes go into the light
-            optics.light_field(scene, optics.choose_variant(self._device), self._progress)
+        check_scene(scene, "a live sensor", "gelsim.press")  # before minutes go into the light
+        optics.light_field(scene, optics.choose_variant(self._device), self._progress)
         return LiveSensor(scene, device=self._device)
 
     def _begin(self) -> None:

@@ -163,8 +163,8 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert cli.main(["live", "--port", "99999"]) == 2 and "allowed is 0 … 65535" in capsys.readouterr().err
     assert cli.main(["live", "--shore", "30"]) == 2 and "rigid" in capsys.readouterr().err
     soft = tmp_path / "soft.toml"
-    soft.write_text("[object]\nshore_00 = 30\n")
-    assert cli.main(["live", "--scene", str(soft)]) == 2 and "object.rigid" in capsys.readouterr().err
+    soft.write_text("[object]\nprony_g = [0.2]\nprony_tau_s = [1.0]\n")
+    assert cli.main(["live", "--scene", str(soft)]) == 2 and "object.prony_g" in capsys.readouterr().err
     assert cli.main(["live", "--video-device", "77"]) == 2 and "--video-device 77" in capsys.readouterr().err
     monkeypatch.delitem(sys.modules, "gelsim.views.live_page")
     monkeypatch.setitem(sys.modules, "viser", None)

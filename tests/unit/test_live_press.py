@@ -124,7 +124,7 @@ def test_a_path_of_forces() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"object": {"rigid": False}}, "object.rigid"),
+        ({"object": {"rigid": False, "skin": {"thickness_mm": 0.5, "shore_00": 60.0}}}, "object.skin"),
         ({"gel": {"prony_g": [0.1], "prony_tau_s": [1.0]}}, "gel.prony_g"),
         ({"press": {"depth_mm": 1.6, "force_n": "none"}}, "0.6 of gel.thickness_mm = 2.4 mm"),
     ],
@@ -142,6 +142,11 @@ def test_what_it_cannot_do_it_says(change: Layer, said: str) -> None:
         ({"press": {"depth_mm": 0.6, "offset_mm": [1.0, 2.0]}}, 0.015, None),  # asked for more than it is known to be good for
         ({"press": {"depth_mm": 1.2, "offset_mm": [1.0, 2.0]}}, 0.05, None),  # deeper than it was compared
         ({"press": {"depth_mm": 0.6, "offset_mm": [9.0, 0.0]}}, 0.05, None),  # at the gel's side
+        ({"object": {"rigid": False, "shore_00": 30.0}, "press": {"depth_mm": 0.6}}, 0.05, "live"),
+        ({"object": {"rigid": False, "shore_00": 30.0, "height_mm": 25.0}, "press": {"depth_mm": 0.6}}, 0.05, None),  # a rod
+        ({"object": {"rigid": False, "shore_00": 5.0}, "press": {"depth_mm": 0.6}}, 0.05, None),  # softer than it was compared
+        ({"object": {"rigid": False, "shore_00": 30.0}, "press": {"depth_mm": 0.6, "tilt_deg": [8.0, 0.0]}}, 0.05, None),
+        ({"object": {"rigid": False, "prony_g": [0.2], "prony_tau_s": [1.0]}, "press": {"depth_mm": 0.3}}, 0.05, None),
         ({"object": {"shape": "box", "width_mm": 4.0, "length_mm": 6.0}, "press": {"depth_mm": 0.3}}, 0.05, None),
     ],
 )
