@@ -56,11 +56,11 @@ from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import compare_bodies
 from gelsim.shape.orientation import is_reoriented
 from gelsim.shape.outlines import bore, wall
-from gelsim.shape.shapes import object_surface, of_file, press_depth, shape_symmetry, sharp_edges, solid
+from gelsim.shape.shapes import object_surface, of_file, own_frame, press_depth, shape_symmetry, sharp_edges, solid
 from gelsim.shape.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM
 
-_SCHEMA = 3
+_SCHEMA = 4
 """Raise it when the same key would no longer give the same mesh."""
 _WORST_QUALITY = 0.02
 """Smallest mean-ratio quality of a straight tet that is let through; fTetWild's own meshes reach 0.1 to 0.3."""
@@ -75,7 +75,7 @@ _ATTEMPTS = ((1.0, 10.0, 20), (1 / 3, 10.0, 20), (2 / 15, 6.0, 80))
 stop at (a regular tet has 3); the passes it may take. The next is tried when one leaves a bad or folded tet; a smaller envelope costs more
 passes."""
 _OF_FACETS = 0.15
-"""The same per smallest edge length (`MeshSizes.envelope`) of a surface whose vertices are not put back."""
+"""The same per smallest edge length (`MeshSizes.envelope`) of a surface of facets alone."""
 
 Progress = Callable[[str], None]
 
@@ -145,6 +145,10 @@ def mesh_object(
     seams, thin = _seams(body, shape, within, sizes)
     field = contact_field(*box, edge, sizes, far, rims, (seams, min(edge, thin)), core(centred, edge, of_object=True))
     inner: list[TriMesh] = []
+    if is_reoriented(body) and not of_file(body):
+        # Facets as short as the tets over them: with a cylinder's longest the force of one was 1.4 % too small.
+        turn, shift = own_frame(body)
+        surface = object_surface(body, edge_length=lambda points: field(points @ turn.T + shift), chord=_CHORD * edge)
     if surface is None:
         assert shape is not None
         surface, *inner = (
@@ -328,7 +332,8 @@ def _snapped(
     first, and the patch of each in `Domain.patches`."""
     tets10, shape = quadratic_tets(vertices, tets)[1], domain.shape
     if shape is None:
-        return vertices, outer_faces(tets10), np.zeros(0, np.int64)
+        boundary = outer_faces(tets10)
+        return _on_facets(domain.surface, vertices, np.unique(boundary[:, :3]), near), boundary, np.zeros(0, np.int64)
     faces = [outer_faces(tets10)]
     patch = [classify(shape.patches, vertices, faces[0][:, :3], near)]
     before = len(shape.patches)
@@ -344,6 +349,32 @@ def _snapped(
     moved[on] = snap(whole.patches, vertices[on], member[on])
     zero_cuts(whole, moved, member)
     return moved, all_faces, all_patches
+
+
+def _on_facets(surface: TriMesh, vertices: Array, on: NDArray[np.int32], near: Array) -> Array:
+    """Vertices, of which some are put on the closest facet, at most `near` away.
+
+    fTetWild leaves one in ten meshes a vertex that is 30 µm too low, by which a press begins too early: forces of a rod scattered by 11 %,
+    so by 1 %.
+    """
+    from trimesh.triangles import closest_point
+
+    corners, moved = surface.vertices[surface.faces], vertices.copy()
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    for part in np.array_split(on, 1 + len(on) * len(corners) // 10**7):
+        at, far = vertices[part], near[part, None]
+        beside = np.logical_and.reduce([
+            (at[:, i, None] >= low[:, i] - far) & (at[:, i, None] <= high[:, i] + far) for i in range(3)
+        ])  # fmt: skip
+        place, facet = np.nonzero(beside)
+        found = closest_point(corners[facet] / MM, at[place] / MM) * MM
+        away = np.linalg.norm(found - at[place], axis=1)
+        order = np.lexsort((away, place))
+        each, first = np.unique(place[order], return_index=True)
+        best = order[first]
+        good = away[best] <= near[part[each]]
+        moved[part[each[good]]] = found[best[good]]
+    return moved
 
 
 def _curved(

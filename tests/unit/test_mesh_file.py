@@ -322,8 +322,21 @@ def test_a_turned_soft_part_is_held_below_its_farthest_point(tmp_path: Path) -> 
     assert 2 * 0.98 * np.sqrt(25 - 16) * MM < np.ptp(base[:, 0]) < 2 * np.sqrt(25 - (0.98 * 9 - 5) ** 2) * MM
 
 
+def test_a_soft_parts_mesh_is_as_its_file(tmp_path: Path) -> None:
+    """Vertices lie on facets, between a ball and the planes of its facets."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=5.0)
+    ball.export(tmp_path / "ball.stl")
+    body = Body(shape="mesh", mesh=str(tmp_path / "ball.stl"), shore_00=30.0)
+    mesh = mesh_object(Scene(object=body, fidelity="fast", press=Press(depth_mm=0.3)))
+    low = mesh.rest_positions[np.unique(mesh.groups["contact"][:, :3])] / MM
+    low = low[low[:, 2] < 7.0]  # its top is cut flat
+    away = np.linalg.norm(low - [0.0, 0.0, 5.0], axis=1)
+    planes = (ball.face_normals * ball.triangles[:, 0]).sum(axis=1)
+    assert planes.min() - 1e-5 < away.min() and away.max() < 5.0 + 1e-5  # of single precision; fTetWild's own are 40 µm off
+
+
 def test_a_turned_soft_shape_is_pressed_as_its_file_is(tmp_path: Path) -> None:
-    """Two meshes that fTetWild draws of one body at `fast` differ by some per cent (docs/validation.md: radii by 5.3 at most)."""
+    """Forces on 41 meshes that fTetWild drew of the two at `fast` lay within 0.8 % (a standard deviation of 0.2)."""
     rod = Body(shape="cylinder", radius_mm=4.0, height_mm=9.0, shore_00=30.0)
     path = tmp_path / "rod.stl"
     surface = object_surface(rod, edge_length=1e-3, chord=5e-6)
@@ -333,7 +346,7 @@ def test_a_turned_soft_shape_is_pressed_as_its_file_is(tmp_path: Path) -> None:
     records = [stages.Record(), stages.Record()]
     found, known = (pressed(body, record=record) for body, record in zip((turned, file), records, strict=True))
     stiffer = pressed(replace(turned, shore_00=35.0))
-    assert found.force[-1, 2] == pytest.approx(known.force[-1, 2], rel=0.05)
+    assert found.force[-1, 2] == pytest.approx(known.force[-1, 2], rel=0.02)
     assert abs(stiffer.force[-1, 2] / known.force[-1, 2] - 1) > 0.05  # planted: another hardness
     assert [record.meshes["object"]["held_at_share_of_height"] for record in records] == [0.9, 0.9]
     with pytest.raises(SceneError, match=r"object.press_side = left: an object with object.skin cannot be turned; leave one"):
