@@ -63,8 +63,9 @@ class HeldBody:
         tangent = wp.zeros(len(pattern.indices), dtype=wp.float64, device="cpu")
         solids.add_tangent(pattern.pairs, tangent)
         solver = make_solver()
-        solver.analyse(pattern.indptr, pattern.indices, tangent.numpy())
-        solver.factorise(tangent.numpy())
+        values = np.asarray(tangent.numpy(), np.float64)
+        solver.analyse(pattern.indptr, pattern.indices, values)
+        solver.factorise(values)
         shares = forces.reshape(len(forces), *self._faces.shape[:1], -1, 3)
         loads = np.zeros((len(forces), solids.node_count, 4))
         for load, of_faces in zip(loads, np.einsum("kfqc,qa->kfac", shares, self._shape), strict=True):
