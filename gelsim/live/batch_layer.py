@@ -197,7 +197,7 @@ class Layers:
         """Spectral projected gradients, of a quadratic function: a place and the gradient there, to the least of what is allowed.
 
         Args:
-            way: To another place that is allowed, against the gradient; 0 for a step of 0.
+            way: To another place that is allowed, against the gradient.
             answer: What a change of place adds to the gradient.
             going: Which sensors are not done, (n, 1, 1); looked at every CHECKED steps.
             step: Along the gradient, the first time, (n, 1, 1).
@@ -211,7 +211,7 @@ class Layers:
                 left = going(at, slope)
                 if not bool(left.any()):
                     break
-            move = way(at, slope, (step * left).view(shape))
+            move = way(at, slope, step.view(shape))
             change = answer(move)
             mine = change if where is None else change * where
             steep = inner(mine, move)

@@ -505,8 +505,7 @@ class LiveSensor:
 def baked_gel(scene: Scene) -> tuple[Layer, Values, float, float]:
     """Of a scene's gel: its layer, its height at rest over the layer's cells [mm], the coefficient of friction, and its thinning."""
     gel, material = scene.gel, materials.gel_material(scene)
-    nu = material.poissons_ratio
-    layer = gel_layer.shared(gel.size_mm, Elastic(material.youngs_modulus / 1e3 / 2 / (1 + nu), nu))
+    layer = gel_layer.shared(gel.size_mm, Elastic(material.mu * KPA_PER_PA, material.poissons_ratio))
     places = np.stack(np.meshgrid(layer.x * MM, layer.y * MM), axis=-1)
     rest = gel_height(gel, places.reshape(-1, 2)).reshape(layer.shape).astype(np.float32) * np.float32(MM_PER_M)
     friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
