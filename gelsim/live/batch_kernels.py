@@ -1,4 +1,5 @@
-"""The kernels of `gelsim.live.batch_layer` and `batch`: products of waves, a step along the slip, and the undersides of rigid objects.
+"""The kernels of `gelsim.live.batch_layer` and `batch`: products of waves, steps to pressure and shear, what is of second order, and the
+undersides of rigid objects.
 
 Undersides, over the cells of many gels, at poses of their own: one thread a cell walks up along z as far as the object's signed distance
 (`gelsim.fem.field`) allows (sphere tracing), then by Newton's steps. `underside.py` keeps a map of heights for one sensor instead. Left
@@ -61,18 +62,166 @@ def lifted_waves(ways: wp.array3d(dtype=float), tractions: wp.array3d(dtype=wp.v
     found[n, 0, k] = turned(ways[n, 4, k], tractions[n, 0, k]) + turned(ways[n, 5, k], tractions[n, 1, k])
 
 
+@wp.func
+def line_search(steep: wp.float64, against: wp.float64, size: wp.float64, step: float) -> wp.vec2f:
+    """Share of a move to the least of a quadratic function, at most all of it, and the next step against the gradient (Birgin, Martínez and
+    Raydan 2000): of how the gradient changes, its product with the move, with itself, and of the gradient before with the move."""
+    if steep <= wp.float64(0.0):  # by rounding
+        return wp.vec2f(0.0, step)
+    return wp.vec2f(wp.float32(wp.clamp(-against / steep, wp.float64(0.0), wp.float64(1.0))), wp.float32(steep / size))
+
+
 @wp.kernel(enable_backward=False)
-def against_slip(
-    q: wp.array3d(dtype=float), slip: wp.array3d(dtype=float), bound: wp.array2d(dtype=float), step: wp.array(dtype=float),
-    way: wp.array3d(dtype=float),
+def press_on(
+    turn: int, allowed: wp.array2d(dtype=float), change: wp.array2d(dtype=float), move: wp.array2d(dtype=float),
+    pressure: wp.array2d(dtype=float), gap: wp.array2d(dtype=float), step: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """What a step against the slip changes of tangential tractions (sensor, x y, cell) that keep to their bound."""
-    n, k = wp.tid()
-    x = q[n, 0, k] - step[n] * slip[n, 0, k]
-    y = q[n, 1, k] - step[n] * slip[n, 1, k]
-    share = wp.min(1.0, bound[n, k] / wp.max(wp.sqrt(x * x + y * y), 1.0e-30))
-    way[n, 0, k] = share * x - q[n, 0, k]
-    way[n, 1, k] = share * y - q[n, 1, k]
+    """A step of spectral projected gradients to a pressure over (sensor, cell): along a move, and finds the next one.
+
+    One block of threads goes over the cells of a sensor, so that sums have one order, twice: fields pass the memory as seldom as they can.
+
+    Args:
+        turn: 0: finds the first move only.
+        allowed: Gap under a pressure, root mean square [mm], (sensor, 1).
+        change: Of the gap by the move.
+        step: Against the gap [kPa/mm], (sensor, 1); 0 of those that are done, which stay as they are.
+    """
+    n, lane = wp.tid()
+    if step[n, 0] == 0.0:
+        return
+    found = wp.vec2f(0.0, step[n, 0])
+    steep = wp.float64(1.0)
+    if turn > 0:
+        steep = wp.float64(0.0)
+        against = wp.float64(0.0)
+        size = wp.float64(0.0)
+        for k in range(lane, move.shape[1], wp.block_dim()):
+            steep += wp.float64(change[n, k] * move[n, k])
+            against += wp.float64(gap[n, k] * move[n, k])
+            size += wp.float64(change[n, k] * change[n, k])
+        steep = wp.tile_sum(wp.tile(steep))[0]
+        found = line_search(steep, wp.tile_sum(wp.tile(against))[0], wp.tile_sum(wp.tile(size))[0], found[1])
+    inside = wp.float64(0.0)
+    held = float(0.0)
+    lowest = float(0.0)
+    for k in range(lane, move.shape[1], wp.block_dim()):
+        p = pressure[n, k]
+        g = gap[n, k]
+        if turn > 0:
+            p += found[0] * move[n, k]
+            g += found[0] * change[n, k]
+            pressure[n, k] = p
+            gap[n, k] = g
+        if p > 0.0:
+            inside += wp.float64(g * g)
+            held += 1.0
+        else:
+            lowest = wp.min(lowest, g)
+        move[n, k] = wp.max(p - found[1] * g, 0.0) - p
+    most = allowed[n, 0] * allowed[n, 0] * wp.tile_sum(wp.tile(held))[0]
+    worst = wp.tile_min(wp.tile(lowest))[0]
+    missed = wp.tile_sum(wp.tile(inside))[0] > wp.float64(most) or -worst > 3.0 * allowed[n, 0]
+    step[n, 0] = wp.where(missed and steep > wp.float64(0.0), found[1], 0.0)  # along a move of rounding alone nothing would change
+
+
+@wp.func
+def against_slip(q: wp.vec2f, slip: wp.vec2f, bound: float, step: float) -> wp.vec2f:
+    """What a step against the slip changes of a tangential traction that keeps to its bound."""
+    to = q - step * slip
+    return wp.min(1.0, bound / wp.max(wp.length(to), 1.0e-30)) * to - q
+
+
+@wp.func
+def at(field: wp.array3d(dtype=float), n: int, k: int) -> wp.vec2f:
+    return wp.vec2f(field[n, 0, k], field[n, 1, k])
+
+
+@wp.kernel(enable_backward=False)
+def shear_on(
+    turn: int, limits: wp.array2d(dtype=float), bound: wp.array2d(dtype=float), change: wp.array3d(dtype=float),
+    move: wp.array3d(dtype=float), shear: wp.array3d(dtype=float), slip: wp.array3d(dtype=float), step: wp.array2d(dtype=float),
+):  # fmt: skip
+    """As `press_on`, to tangential tractions (sensor, x y, cell) within their bound, against the slip; where the bound is 0 slip counts for
+    nothing.
+
+    Args:
+        limits: How long what a step of the second would change may be, over all cells [kPa], and that step [kPa/mm], (sensor, 2).
+    """
+    n, lane = wp.tid()
+    if step[n, 0] == 0.0:
+        return
+    found = wp.vec2f(0.0, step[n, 0])
+    steep = wp.float64(1.0)
+    if turn > 0:
+        steep = wp.float64(0.0)
+        against = wp.float64(0.0)
+        size = wp.float64(0.0)
+        for k in range(lane, move.shape[2], wp.block_dim()):
+            if bound[n, k] > 0.0:
+                way = at(move, n, k)
+                more = at(change, n, k)
+                steep += wp.float64(wp.dot(more, way))
+                against += wp.float64(wp.dot(at(slip, n, k), way))
+                size += wp.float64(wp.dot(more, more))
+        steep = wp.tile_sum(wp.tile(steep))[0]
+        found = line_search(steep, wp.tile_sum(wp.tile(against))[0], wp.tile_sum(wp.tile(size))[0], found[1])
+    off = wp.float64(0.0)
+    for k in range(lane, move.shape[2], wp.block_dim()):
+        q = at(shear, n, k)
+        s = at(slip, n, k)
+        if turn > 0:
+            q += found[0] * at(move, n, k)
+            s += found[0] * at(change, n, k)
+            for axis in range(2):
+                shear[n, axis, k] = q[axis]
+                slip[n, axis, k] = s[axis]
+        way = against_slip(q, s, bound[n, k], limits[n, 1])
+        off += wp.float64(wp.dot(way, way))
+        way = against_slip(q, s, bound[n, k], found[1])
+        for axis in range(2):
+            move[n, axis, k] = way[axis]
+    missed = wp.tile_sum(wp.tile(off))[0] > wp.float64(limits[n, 0] * limits[n, 0])
+    step[n, 0] = wp.where(missed and steep > wp.float64(0.0), found[1], 0.0)
+
+
+@wp.func
+def slope(field: wp.array4d(dtype=float), n: int, part: int, i: int, j: int, cell: wp.vec2f) -> wp.vec2f:
+    """Of a field (sensor, part, row, column) along x and y; at the rim half of it."""
+    right = field[n, part, i, wp.min(j + 1, field.shape[3] - 1)] - field[n, part, i, wp.max(j - 1, 0)]
+    up = field[n, part, wp.min(i + 1, field.shape[2] - 1), j] - field[n, part, wp.max(i - 1, 0), j]
+    return wp.vec2f(0.5 * right / cell[0], 0.5 * up / cell[1])
+
+
+@wp.kernel(enable_backward=False)
+def bent_stress(
+    cell: wp.vec2f, modulus: float, blurred: wp.array4d(dtype=float), pressure: wp.array4d(dtype=float), height: wp.array4d(dtype=float),
+    found: wp.array4d(dtype=float),
+):  # fmt: skip
+    """Height times stress along the face, xx, xy, yy (`gelsim.live.layer.Window.bending`), of motions along it."""
+    n, i, j = wp.tid()
+    x = slope(blurred, n, 0, i, j, cell)
+    y = slope(blurred, n, 1, i, j, cell)
+    mean = 2.0 * modulus * (x[0] + y[1]) - pressure[n, 0, i, j]
+    h = height[n, 0, i, j]
+    found[n, 0, i, j] = h * (2.0 * modulus * x[0] + mean)
+    found[n, 1, i, j] = h * (modulus * (x[1] + y[0]))
+    found[n, 2, i, j] = h * (2.0 * modulus * y[1] + mean)
+
+
+@wp.kernel(enable_backward=False)
+def bent(
+    cell: wp.vec2f, share: float, stress: wp.array4d(dtype=float), pressure: wp.array4d(dtype=float), height: wp.array4d(dtype=float),
+    moved: wp.array4d(dtype=float), along: wp.array4d(dtype=float), carried: wp.array4d(dtype=float),
+):  # fmt: skip
+    """A share of the tractions and of the motion of second order that such stresses make."""
+    n, i, j = wp.tid()
+    here = pressure[n, 0, i, j] * slope(height, n, 0, i, j, cell)
+    skew = slope(stress, n, 1, i, j, cell)
+    along[n, 0, i, j] = share * (here[0] + slope(stress, n, 0, i, j, cell)[0] + skew[1])
+    along[n, 1, i, j] = share * (here[1] + skew[0] + slope(stress, n, 2, i, j, cell)[1])
+    back = -share * height[n, 0, i, j] * slope(moved, n, 2, i, j, cell)
+    carried[n, 0, i, j] = back[0]
+    carried[n, 1, i, j] = back[1]
 
 
 @wp.kernel(enable_backward=False)

@@ -20,11 +20,13 @@ import warp as wp
 from torch import Tensor
 
 from gelsim.live import layer as single
-from gelsim.live.batch_kernels import against_slip, dragged_waves, lifted_waves, moved_waves
+from gelsim.live.batch_kernels import bent, bent_stress, dragged_waves, lifted_waves, moved_waves, press_on, shear_on
 from gelsim.live.layer import Layer
 
 CHECKED = 4
 """Steps of a gradient method between looks whether all sensors are done: to look is to wait for the GPU."""
+BLOCK = 256
+"""Threads that share a sensor's sums."""
 TINY = 1e-30
 
 
@@ -33,14 +35,22 @@ def inner(one: Tensor, other: Tensor) -> Tensor:
     return torch.bmm(one.flatten(1)[:, None], other.flatten(1)[:, :, None])
 
 
-def launch(kernel: Any, *fields: Tensor) -> None:
-    """A kernel over sensors and the cells or waves of the last field, which it writes; all but the first axes are flattened."""
-    arrays = []
-    for field in fields:
-        whole = torch.view_as_real(field) if field.is_complex() else field
-        arrays.append(wp.from_torch(whole, dtype=wp.vec2f if field.is_complex() else wp.float32, requires_grad=False, return_ctype=True))
-    device = fields[0].device
-    wp.launch(kernel, (fields[-1].shape[0], fields[-1].shape[-1]), arrays, device=str(device), stream=stream(device))
+def launch(kernel: Any, size: tuple[int, ...], *inputs: Any, block: int = 0) -> None:
+    """A kernel on PyTorch's stream, of tensors (complex ones as pairs) and numbers; with a block of threads for each of a size."""
+    given = []
+    for field in inputs:
+        if isinstance(field, Tensor):
+            whole = torch.view_as_real(field) if field.is_complex() else field
+            kind = wp.vec2f if field.is_complex() else wp.float32
+            device = field.device
+            given.append(wp.from_torch(whole, dtype=kind, requires_grad=False, return_ctype=True))
+        else:
+            given.append(field)
+    on = {"device": str(device), "stream": stream(device)}
+    if block:
+        wp.launch_tiled(kernel, dim=list(size), inputs=given, block_dim=block, **on)
+    else:
+        wp.launch(kernel, size, given, **on)
 
 
 def stream(device: torch.device) -> wp.Stream | None:
@@ -71,6 +81,7 @@ class Layers:
         self.layer, self.shape, self.device = layer, layer.shape, device
         self.x, self.y = (torch.as_tensor(way, dtype=torch.float32, device=device) for way in np.meshgrid(layer.x, layer.y))
         self.modulus = layer.material.shear_kpa
+        self._cell = wp.vec2f(*layer.cell)
         by_y, by_x = np.fft.fftfreq(layer.shape[0], layer.cell[1])[:, None], np.fft.rfftfreq(layer.shape[1], layer.cell[0])
         self._squared = torch.as_tensor((2 * np.pi) ** 2 * (by_x**2 + by_y**2), dtype=torch.float32, device=device)
 
@@ -105,7 +116,8 @@ class Layers:
     def _product(self, kernel: Any, ways: Tensor, tractions: Tensor, parts: int) -> Tensor:
         waves = torch.fft.rfft2(tractions)
         found = torch.empty((len(waves), parts, *waves.shape[2:]), dtype=waves.dtype, device=waves.device)
-        launch(kernel, ways.flatten(2), waves.flatten(2), found.flatten(2))
+        each = [field.flatten(2) for field in (ways, waves, found)]
+        launch(kernel, each[-1].shape[::2], *each)
         return torch.fft.irfft2(found, s=self.shape)
 
     def slope(self, values: Tensor) -> Tensor:
@@ -122,14 +134,12 @@ class Layers:
         """As `layer.Window.bending`: tractions and motion of second order, (n, 2, rows, columns) each."""
         height = self.height(pressure, moved, rest)
         blur = torch.exp(-0.5 * self._squared * (-moved[:, 2].amin(dim=(1, 2), keepdim=True)).clamp(min=0.0) ** 2)
-        (xx, yx), (xy, yy) = (
-            change.unbind(1) for change in self.slope(torch.fft.irfft2(blur[:, None] * torch.fft.rfft2(moved[:, :2]), s=self.shape))
-        )
-        mean = 2 * self.modulus * (xx + yy) - pressure
-        skew = height * (self.modulus * (xy + yx))
-        by_x, by_y = self.slope(torch.stack([height * (2 * self.modulus * xx + mean), skew, height * (2 * self.modulus * yy + mean)], 1))
-        along = pressure[:, None] * self.slope(height).transpose(0, 1) + by_x[:, :2] + by_y[:, 1:]
-        return single.BENT * along, self.carried(moved, height)
+        blurred = torch.fft.irfft2(blur[:, None] * torch.fft.rfft2(moved[:, :2]), s=self.shape)
+        stress, along, carried = (torch.empty((len(moved), parts, *self.shape), device=moved.device) for parts in (3, 2, 2))
+        each, over = (len(moved), *self.shape), (pressure[:, None], height[:, None])
+        launch(bent_stress, each, self._cell, self.modulus, blurred, *over, stress)
+        launch(bent, each, self._cell, single.BENT, stress, *over, moved, along, carried)
+        return along, carried
 
     def carried(self, moved: Tensor, height: Tensor) -> Tensor:
         return -single.BENT * height[:, None] * self.slope(moved[:, 2]).transpose(0, 1)
@@ -161,65 +171,39 @@ class Layers:
 
     def pressed(self, ways: Tensor, room: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.pressure`: p ≥ 0 [kPa] with gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap. `deepest`: overlap (n, 1, 1) [mm]."""
-        allowed = single.GAP_TOLERANCE * deepest
         some = start.amax(dim=(1, 2), keepdim=True) > 0
         p = torch.where(some, start, (room < 0) * (self.modulus * 1e-3))
-
-        def going(p: Tensor, gap: Tensor) -> Tensor:
-            held = p > 0
-            inside, outside = torch.where(held, gap, 0.0), torch.where(held, 0.0, gap).amin(dim=(1, 2), keepdim=True)
-            return (inner(inside, inside) > allowed**2 * held.sum(dim=(1, 2), keepdim=True)) | (-outside > 3 * allowed)
-
-        def way(p: Tensor, gap: Tensor, step: Tensor) -> Tensor:
-            return torch.addcmul(p, step, gap, value=-1.0).clamp_(min=0.0).sub_(p)
-
-        return self._descend((p, room + self.sunk(ways, p)), way, lambda way: self.sunk(ways, way), going, softest)
+        gap = room + self.sunk(ways, p)
+        self._descend(press_on, [single.GAP_TOLERANCE * deepest], [p, gap], softest, lambda move: self.sunk(ways, move))
+        return p, gap
 
     def sheared(self, ways: Tensor, slip: Tensor, bound: Tensor, start: Tensor, away: Tensor, softest: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.shear`: tangential tractions q, |q| ≤ bound [kPa], and the slip that is left [mm], (n, 2, rows, columns) each."""
-        touching = bound[:, None] > 0
+        q, left = start.clone(memory_format=torch.contiguous_format), slip.clone(memory_format=torch.contiguous_format)
         allowed = single.SLIP_TOLERANCE * torch.minimum(softest * away, norm(bound))
-
-        def way(q: Tensor, slip: Tensor, step: Tensor) -> Tensor:
-            found = torch.empty_like(q)
-            launch(against_slip, q.flatten(2), slip.flatten(2), bound.flatten(1), step.flatten(), found.flatten(2))
-            return found
-
-        def going(q: Tensor, slip: Tensor) -> Tensor:
-            return norm(way(q, slip, softest)) > allowed
-
-        return self._descend((start, slip), way, lambda way: self.dragged(ways, way), going, softest, touching)
+        limits = torch.cat([allowed, softest], dim=-1)
+        self._descend(shear_on, [limits, bound], [q, left], softest, lambda move: self.dragged(ways, move))
+        return q, left
 
     @staticmethod
-    def _descend(
-        start: tuple[Tensor, Tensor], way: Callable, answer: Callable, going: Callable, step: Tensor, where: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
+    def _descend(kernel: Any, given: list[Tensor], found: list[Tensor], step: Tensor, answer: Callable[[Tensor], Tensor]) -> None:
         """Spectral projected gradients, of a quadratic function: a place and the gradient there, to the least of what is allowed.
 
         Args:
-            way: To another place that is allowed, against the gradient.
-            answer: What a change of place adds to the gradient.
-            going: Which sensors are not done, (n, 1, 1); looked at every CHECKED steps.
+            kernel: A step of them, `batch_kernels.press_on` or `shear_on`.
+            given: Its first fields.
+            found: Place and gradient, whose memory has no gaps; moved on.
             step: Along the gradient, the first time, (n, 1, 1).
-            where: The gradient counts there alone, as the way is 0 elsewhere.
+            answer: What a change of place adds to the gradient.
         """
-        at, slope = start
-        shape = (-1, *(1,) * (at.ndim - 1))
-        left = torch.ones_like(step, dtype=torch.bool)
-        for turn in range(single.STEPS):
-            if turn % CHECKED == 0:
-                left = going(at, slope)
-                if not bool(left.any()):
-                    break
-            move = way(at, slope, step.view(shape))
+        step = step.clone()
+        move = change = torch.empty_like(found[0])
+        for turn in range(single.STEPS + 1):
+            fields = [field.flatten(-2) for field in (*given, change, move, *found, step)]
+            launch(kernel, step.shape[:1], turn, *fields, block=BLOCK)
+            if turn % CHECKED == 0 and not bool(step.any()):
+                break
             change = answer(move)
-            mine = change if where is None else change * where
-            steep = inner(mine, move)
-            sound = left & (steep > 0)  # of those that are done rounding alone would move what slips, far
-            part = torch.where(sound, (-inner(slope, move) / steep.clamp(min=TINY)).clamp(0.0, 1.0), 0.0).view(shape)
-            at, slope = torch.addcmul(at, part, move), torch.addcmul(slope, part, change)
-            step = torch.where(sound, steep / inner(mine, mine).clamp(min=TINY), step)
-        return at, slope
 
     def punch(self, ways: Tensor, cells: Tensor, motion: Tensor) -> Tensor:
         """As `layer.punch` of a motion down (n, rows, columns) [mm]: a pressure on some cells [kPa]."""
