@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import root_scalar
 
 from gelsim.errors import MaterialError, SceneError, SolveError
 from gelsim.geometry import PlanarMesh
@@ -197,7 +198,7 @@ def reading(
     youngs_modulus: float, scale: str = "00", friction: float | str = STICK, fidelity: str = "balanced",
     poissons_ratio: float = POISSONS_RATIO, skin: tuple[float, float] = NO_SKIN,
 ) -> float:  # fmt: skip
-    """The reading of a block of a modulus [Pa], `skin` on (`press_curve`), by bisection: E grows with the reading.
+    """The reading of a block of a modulus [Pa], `skin` on (`press_curve`): E grows with the reading.
 
     Raises:
         MaterialError: It would lie outside the instrument's range.
@@ -215,21 +216,15 @@ def reading(
             f"durometer {scale}: E = {youngs_modulus / 1e3:g} kPa reads outside {low:g}…{high:g}; "
             f"allowed is {ends[0] / 1e3:.3g} to {ends[1] / 1e3:.4g} kPa"
         )
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if modulus_at(middle) < youngs_modulus else (low, middle)
-    return 0.5 * (low + high)
+    return root_scalar(lambda each: modulus_at(each) - youngs_modulus, bracket=(low, high)).root
 
 
 # ---------------------------------------------------------------------------------------------------------------- closed forms
 def sneddon_ball(depth: float, radius: float) -> float:
     """Force over modulus [m²] of a rigid ball on an incompressible half-space (Sneddon 1965): with x = a/R,
     d/R = (x/2) ln((1+x)/(1-x)), F = (4/3) E R² [(1+x²)/2 ln((1+x)/(1-x)) - x]."""
-    low, x, high = 0.0, 0.5, 1.0 - 1e-12
-    for _ in range(100):
-        x = 0.5 * (low + high)
-        low, high = (x, high) if 0.5 * x * math.log((1 + x) / (1 - x)) < depth / radius else (low, x)
-    return 4 / 3 * radius**2 * (0.5 * (1 + x * x) * math.log((1 + x) / (1 - x)) - x)
+    x = root_scalar(lambda x: x * math.atanh(x) - depth / radius, bracket=(0.0, 1.0 - 1e-12)).root
+    return 4 / 3 * radius**2 * ((1 + x * x) * math.atanh(x) - x)
 
 
 def relations(value: float, scale: str) -> dict[str, float | None]:

@@ -23,6 +23,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import root_scalar
 
 from gelsim.errors import MaterialError
 from gelsim.scene import materials
@@ -124,8 +125,7 @@ def _alike(modulus: float, block: Array) -> float:
     low, high = max(100 * (1 - deepest * MM / materials.TRAVEL), 0.0), HIGHEST
     if force(high) > spring(high) or (deepest < DEPTHS_MM[-1] and force(low) < spring(low)):
         raise MaterialError(f"E = {modulus * 1e-3:g} kPa: what a durometer reads on it is outside the table")
-    for _ in range(50):  # the block's force falls as the reading grows, the spring's grows
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if force(middle) > spring(middle) else (low, middle)
-    depth = materials.TRAVEL * (1 - low / 100)
+    # The block's force falls as the reading grows, the spring's grows; at 0 the first may be the less.
+    found = low if force(low) <= spring(low) else root_scalar(lambda reading: force(reading) - spring(reading), bracket=(low, high)).root
+    depth = materials.TRAVEL * (1 - found / 100)
     return modulus * share(block, depth) / share(blocks().bare[-1], depth)

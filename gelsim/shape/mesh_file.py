@@ -171,7 +171,6 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
         done["thinned_to_faces"] = len(faces)
     if is_reoriented(body) and not body.rigid:
         vertices, faces = cut_flat(vertices, faces, named)
-        done["held_at_share_of_height"] = 1.0 - HELD_BELOW
     lowest = vertices[:, 2].min()
     tip = vertices[vertices[:, 2] <= lowest + 1e-7]
     apex = np.array([*(tip.min(axis=0) + tip.max(axis=0))[:2] / 2, lowest])
