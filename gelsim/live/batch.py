@@ -310,9 +310,9 @@ class LiveBatch:
         place = torch.arange(len(room), device=room.device)
         p, q, moved, dragged, anchor, thickness = state.pressure, state.shear, state.moved, state.dragged, state.anchor, state.thickness
         bent, turned = torch.zeros_like(q), torch.zeros_like(room[:, :1, :1])
+        ways, softest = layers.ways(thickness), layers.stiffness(thickness)
         for round in range(single.ROUNDS):
             before = p
-            ways, softest = layers.ways(thickness), layers.stiffness(thickness)
             # Pressure is found for the room that shear leaves.
             lift = moved[:, 2] + layers.sunk(ways, p)
             p, gap = layers.pressed(ways, room - lift, p, softest, -room.amin(dim=(1, 2), keepdim=True))
