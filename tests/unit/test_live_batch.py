@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from test_baked import flat_scene
 from test_lightfield import linear_field
 
@@ -17,6 +18,7 @@ from gelsim.optics import bake
 from gelsim.scene.definition import Body, Gel, Markers, Scene
 
 torch = pytest.importorskip("torch")
+from gelsim.live import batch_layer  # noqa: E402
 from gelsim.live.batch import BatchFrame, LiveBatch  # noqa: E402
 from gelsim.live.batch_layer import Layers  # noqa: E402
 
@@ -71,6 +73,20 @@ def test_forces_are_those_of_each_alone(friction: float | str, gel: dict) -> Non
     assert (found[5] == 0).all() and (found[-1, :, 2] < 0).all()
     if friction == 0.5:
         assert np.greater(off(*forces(ball_scene(0.6, **gel), ball_scene(0.5, **gel))), (0.0, SHEAR)).all()  # planted: another law
+
+
+def test_a_block_of_threads_shares_a_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GPU does it; a CPU alone has one thread a block. Sums are of another order then, in double precision: alike to single's."""
+
+    def walked() -> np.ndarray:
+        batch = LiveBatch(ball_scene(), 2, image=False, device="cpu")
+        return np.array([batch.step(np.array([pose(x, y, z), pose(-x, y, z)]), 0.01).force.numpy() for x, y, z in WALK[:3]])
+
+    alone = walked()
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
+    assert walked() == pytest.approx(alone, rel=1e-5, abs=1e-5 * np.abs(alone).max())
+    monkeypatch.setattr(batch_layer, "BLOCK", 64)
+    assert walked() == pytest.approx(alone, rel=1e-5, abs=1e-5 * np.abs(alone).max())
 
 
 def test_heights_markers_torque_and_contact_are_those_of_each_alone() -> None:
