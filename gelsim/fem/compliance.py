@@ -36,8 +36,8 @@ def _middles(cuts: int) -> Array:
 class HeldBody:
     """Of a mesh with groups "base", which is held, and "contact". Lengths in mm, tractions in kPa, forces in mN.
 
-    Attributes: `points`, the middles of small pieces of the contact faces, (Q, 3); `areas`, of these pieces as seen from above, below 0
-    where they face down, (Q,); `height`, of the base.
+    Attributes: `points`, the middles of small pieces of the contact faces, (Q, 3); `facing`, these pieces' areas along their outward
+    normals, (Q, 3); `areas`, their z, below 0 where they face down, (Q,); `height`, of the base.
     """
 
     def __init__(self, mesh: TetMesh, material: ElasticMaterial) -> None:
@@ -54,7 +54,8 @@ class HeldBody:
         corners = rest[self._faces]
         self.points = np.einsum("qa,fac->fqc", self._shape, corners).reshape(-1, 3)
         ways = np.einsum("qad,fac->fqcd", tri6_gradient(bary), corners)
-        self.areas = (ways[..., 0, 0] * ways[..., 1, 1] - ways[..., 0, 1] * ways[..., 1, 0]).ravel() / (2 * len(bary))
+        self.facing = np.cross(ways[..., 0], ways[..., 1]).reshape(-1, 3) / (2 * len(bary))
+        self.areas = self.facing[:, 2]
 
     def work(self, forces: Array) -> Array:
         """What each of K sets of forces (K, Q, 3) on the points does on the motion by each, (K, K) [mN mm]."""

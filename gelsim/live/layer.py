@@ -138,11 +138,14 @@ class Layer:
         Not an approximation: no traction is outside, and twice as many cells keep the window's images apart.
         """
         padded = min(2 * shape[0], self.shape[0]), min(2 * shape[1], self.shape[1])
+        return Window(self, shape, padded, thickness, self.answers(padded, thickness))
+
+    def answers(self, padded: tuple[int, int], thickness: float) -> Values:
+        """Of a thickness [mm], as `_node` has them."""
         place = math.log(thickness) / math.log1p(NODES)
         node = math.floor(place)
         share: Any = np.float32(place - node)
-        answers = (1 - share) * self._node(padded, node) + share * self._node(padded, node + 1)
-        return Window(self, shape, padded, thickness, answers)
+        return (1 - share) * self._node(padded, node) + share * self._node(padded, node + 1)
 
     def _node(self, shape: tuple[int, int], node: int) -> Values:
         """The answers over the waves of a grid of a shape, of the thickness (1 + NODES)^node, (11, rows / 2 + 1, columns / 2 + 1).
@@ -195,11 +198,6 @@ class Layer:
         xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
         xx[0, 0] = yy[0, 0] = thickness / shear
         return np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd]).astype(np.complex64)
-
-
-def nearest_node(thickness: float) -> int:
-    """The thickness of whose answers are computed that is nearest [mm]: (1 + NODES)^node."""
-    return round(math.log(thickness) / math.log1p(NODES))
 
 
 def keep(table: dict[Any, T], key: Any, value: T, most: int) -> T:
@@ -426,8 +424,10 @@ class SoftBody:
     """A soft object over a window: a layer of its own, whose face moves as a whole too (gelsim/live/soft.py)."""
 
     layer: Layer
-    node: int
-    """Of its thickness (1 + NODES)^node."""
+    thickness: float
+    """Of that [mm]."""
+    low: float
+    """How high its face is above the apex, where pressure is, in the mean [mm]."""
     compliance: NDArray[np.float64]
     """Of that motion, linear before angular, by forces and torques about the apex, (6, 6) [mm, rad by mN, mN mm]."""
     apex: NDArray[np.float64]
@@ -508,7 +508,7 @@ def without(window: Window, body: SoftBody) -> Facing:
 
 
 def _facing(window: Window, body: SoftBody, answers: Values) -> Facing:
-    opposite = body.layer._node(window.padded, body.node).copy()
+    opposite = body.layer.answers(window.padded, body.thickness)
     opposite[7:] *= -1  # of faces that look at each other
     return Facing(window.layer, window.shape, window.padded, window.thickness, answers + opposite, body)
 

@@ -43,12 +43,19 @@ OF_ROUND = ((0.03, 0.03, 0.04, 0.061, 0.081), (0.0, 3.3, 8.7, 11.2, 22.2))
 """Worst relative error of the force, and of the height [µm], of round objects by `SHARES`: sheared, twisted, released and domes too."""
 OF_EDGED = ((0.099, 0.099, 0.166, 0.213, 0.213), (0.0, 13.4, 41.1, 107.0, 107.0))
 """Likewise of all others; at 0.4 of boxes, by an older law of heights and forces; deeper none was compared."""
-OF_SOFT_ROUND = ((0.047, 0.047, 0.047, 0.047, 0.073), (0.0, 4.5, 4.5, 8.8, 16.1))
+OF_SOFT_ROUND = ((0.053, 0.053, 0.047, 0.047, 0.073), (0.0, 4.5, 5.3, 8.8, 16.1))
 """Likewise of soft balls: R 3 to 20 mm, Shore 00-10 to 70, SLENDER, friction 0 to 1."""
 OF_SOFT_EDGED = ((0.363, 0.363, 0.099, 0.114, 0.114), (0.0, 9.2, 22.4, 42.5, 42.5))
 """Of the other soft ones; at 0.1 of a leaning cylinder, at 0.25 of a torus; deeper none was compared."""
+OF_LOW_ROUND = ((0.011, 0.011, 0.035, 0.075, 0.075), (0.0, 1.6, 10.0, 31.0, 31.0))
+"""Of balls lower than SLENDER: R 5 to 20 mm, 2 to 8 mm high, 30 Shore 00, straight down, beside `fast`; deeper none was compared."""
+OF_LOW_EDGED = ((0.12, 0.12, 0.21, 0.28, 0.28), (0.0, 24.0, 69.0, 130.0, 130.0))
+"""Of the other soft ones up to LOW: boxes, punches and a cylinder 2 to 6 mm high, likewise: finite elements stiffen as they are squeezed
+flat, and their sides bulge, a linear layer and springs do not."""
+LOW = 2.5
+"""Height over the gel's thickness."""
 SLENDER = 1.0, 4.0
-"""Height over radius of the soft balls that were compared: lower ones are slabs, of which forces are up to 25 % off, higher ones rods."""
+"""Height over radius of the soft balls that were compared in all motions: lower ones are slabs, higher ones rods."""
 SOFTEST, MOST_LEAN_DEG = 0.7, 6.0
 """Modulus of these over the gel's, at least, and their tilt, at most."""
 FORCE_TOLERANCE = 1e-3
@@ -63,8 +70,10 @@ def expected_error(scene: Scene, approach_mm: float) -> tuple[float, float]:
     """Relative error of the force, and of the membrane [µm, root mean square over contact and neighbourhood], at an approach."""
     share = approach_mm / scene.gel.thickness_mm
     body = scene.object
-    tables = (OF_ROUND, OF_EDGED) if body.rigid else (OF_SOFT_ROUND, OF_SOFT_EDGED)
-    known = tables[body.shape not in ROUND]
+    edged = body.shape not in ROUND
+    low = body.height_mm <= LOW * scene.gel.thickness_mm if edged else body.height_mm < SLENDER[0] * body.radius_mm
+    tables = (OF_LOW_ROUND, OF_LOW_EDGED) if low else (OF_SOFT_ROUND, OF_SOFT_EDGED)
+    known = (OF_ROUND, OF_EDGED)[edged] if body.rigid else tables[edged]
     force, height = (float(np.interp(share, SHARES, values)) for values in known)
     return force, height
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -381,9 +381,10 @@ class LiveSensor:
             # Of a way that began in the air, the part from first touch on.
             anchor = anchor + drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
         window, moved, met, dragged = state.window, state.moved, state.met, state.dragged
-        body = None
-        if self._spring is not None:
-            body = self._spring.placed(turn, shift[:2] + known.bent, known.load, layer.x[place[1]], layer.y[place[0]])
+        body, spring = None, self._spring
+        if spring is not None:
+            put = partial(spring.placed, turn, shift[:2] + known.bent, known.load, layer.x[place[1]], layer.y[place[0]])
+            body = put(0.0, spring.height) if known.body is None else put(known.body.low, known.body.thickness)
         if place != state.place:
             window = layer.window(p.shape, window.thickness)
         facing = gel_layer.against(window, body)
@@ -400,6 +401,11 @@ class LiveSensor:
             sunk = gap - room if body is None else -window.moved(p, q)[2]
             thickness = gel.thickness_mm + float((p * (rest - self._thinning * sunk)).sum()) / total
             same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
+            if spring is not None and body is not None:
+                low = float((p * (heights - shift[2])).sum()) / total
+                own = spring.height - low - self._thinning * float((p * (gap - room - sunk)).sum()) / total
+                if max(abs(low - body.low), abs(own - body.thickness)) > gel_layer.SETTLED * spring.height:
+                    same, body = False, put(low, own)
             settled = gel_layer.SETTLED * float(np.linalg.norm(p))
             if same and solved and float(np.linalg.norm(p - before)) < settled and turned < settled:
                 break
