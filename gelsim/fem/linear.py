@@ -288,7 +288,7 @@ class SymmetricSystem:
         New ones are made where there are none, where they are cheap, where the last step wore them out, where GMRES falls short, and where
         `exact` asks for it.
         """
-        self.downhill = False
+        went_down, self.downhill = self.downhill, False
         if self._fresh:
             return self.solve(b, coupling)
         if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
@@ -304,31 +304,46 @@ class SymmetricSystem:
             self._worn = self.solves - before > self.WORN
             if not failed:
                 return x
+        if exact and self.positive is not None and self.direct.negative is not None:
+            return self._down(self.positive, b, coupling, reach, went_down)
         self.factorise()
-        return self._down(b, coupling, reach) if exact else self.solve(b, coupling)
+        return self.solve(b, coupling)
 
-    def _down(self, b: NDArray[np.float64], coupling: Product | None, reach: float) -> NDArray[np.float64]:
-        """x by the first of the matrix and those shifted on the diagonal of the `positive` unknowns that is good for a step.
+    def _down(
+        self, moves: NDArray[np.bool_], b: NDArray[np.float64], coupling: Product | None, reach: float, went_down: bool
+    ) -> NDArray[np.float64]:
+        """x by the first of the matrix and those shifted on the diagonal of the unknowns that `moves` marks that is good for a step.
+
+        After a step that `went_down` the shift below the last is tried first: where that is too little, all that are smaller are.
 
         One with more negative eigenvalues than there are others is of a saddle, where a body is about to buckle or to fold: its step does
         not lead to an equilibrium that a press could come to rest in. (Wächter and Biegler 2006, §3.1, correct the inertia in the same
         way.) C has no share in that count: a point that slides off a rim bears less the farther it slides, and the step by C leads back up
         to where it would stick. Then, and once shifted, x is of K alone, which leads down.
         """
-        if self.positive is None or self.direct.negative is None:
-            return self.solve(b, coupling)
-        others, moves = int((~self.positive).sum()), self.positive
+        others = int((~moves).sum())
         values, diagonal = self._values, self._pattern[1][:-1][moves]
-        shifts = [None, *range(max(self._stiffened - 1, 0), len(SHIFTS))]
-        for number in shifts:
+        least = max(self._stiffened - 1, 0)
+
+        def saddle(number: int | None) -> bool:
+            """Whether the matrix shifted by so much, of which it makes factors, is one's."""
+            shifted = values
             if number is not None:
                 shifted = values.copy()
                 shifted[diagonal] += SHIFTS[number] * np.abs(values[diagonal])
-                self.update(shifted)
-                self.factorise()
-                self._stiffened, self.downhill, coupling = number, True, None
-            if self.direct.negative > others and number != shifts[-1]:
+            self.update(shifted)
+            self.factorise()
+            assert self.direct.negative is not None
+            return self.direct.negative > others
+
+        shifts = [None, *range(least, len(SHIFTS))]
+        if went_down and saddle(least):
+            shifts = shifts[2:]
+        for number in shifts:
+            if saddle(number) and number != shifts[-1]:
                 continue
+            if number is not None:
+                self._stiffened, self.downhill, coupling = number, True, None
             x = self.solve(b, coupling)
             if coupling is not None and b[moves] @ x[moves] < 0.0:
                 self.downhill, coupling = True, None

@@ -295,6 +295,15 @@ def test_an_exact_step_of_a_saddle_goes_downhill() -> None:
     # a shift of 0.008 is too little, of 0.06 it is enough: 2/(0.06 - 0.02), and 0.1²/1.3 + 0.1²/3 of the others
     assert b @ steps[1] == pytest.approx(2 / 0.04, rel=1e-2)
     assert system.factorisations == 4
+    # where 0.008 is too little again, so is none
+    system.update(whole.data)
+    assert system.step(b, None, exact=True) == pytest.approx(steps[1]) and system.downhill
+    assert system.factorisations == 4 + 2
+    # with 0.98 for 1.02 it is a minimum: its own step, 2/0.02
+    matrix[0, 1] = 0.98
+    system.update(sp.csr_matrix(np.triu(matrix) + np.triu(np.full((5, 5), 1e-9), 1)).data)
+    assert b @ system.step(b, None, exact=True) == pytest.approx(2 / 0.02, rel=1e-2) and not system.downhill
+    assert system.factorisations == 4 + 2 + 2
 
 
 @needs_mkl
