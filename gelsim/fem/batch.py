@@ -33,6 +33,7 @@ from gelsim.fem.newton import (
     MAX_LINE_SEARCH,
     SMALLEST_JACOBIAN,
     NewtonReport,
+    forgotten,
     spent,
     stalls,
 )
@@ -317,7 +318,7 @@ class _Batch:
         self.downhill &= near
         self.down += self.downhill
         for scene in np.flatnonzero(self.downhill):
-            self.sizes_seen[scene] = [np.inf] * len(self.sizes_seen[scene])
+            self.sizes_seen[scene] = forgotten(self.sizes_seen[scene], self.problems[scene].options)
         after = self._line_search(active, residual)
         self.iteration[active] += 1
         return after

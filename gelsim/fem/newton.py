@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 class NewtonOptions:
     tolerance: float = 1e-4
     max_iterations: int = 30
-    """Not counted are up to `max_downhill` that lead down from a saddle."""
+    """Not counted are up to `max_downhill` that lead down from a saddle; with 0 these are steps like others."""
     max_downhill: int = 70
     exact_after: int = 8
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
@@ -59,6 +59,11 @@ def stalls(sizes: Sequence[float], options: NewtonOptions) -> bool:
     if options.patient or len(sizes) <= options.exact_after + STALLED_AFTER:
         return False
     return min(sizes[-STALLED_AFTER:]) > STALLED * min(sizes[:-STALLED_AFTER])
+
+
+def forgotten(sizes: Sequence[float], options: NewtonOptions) -> list[float]:
+    """The residuals of a solve so far, after a step down from a saddle, on the way from which they grow before they shrink."""
+    return [np.inf] * len(sizes) if options.max_downhill > 0 else list(sizes)
 
 
 @dataclass
@@ -226,7 +231,8 @@ class Newton:
                 return SolveStatus.NONFINITE, iteration, residual, down > 0
             downhill = self.system.downhill and near
             if downhill:
-                down, sizes = down + 1, [np.inf] * len(sizes)
+                down += 1
+                sizes = forgotten(sizes, self.options)
             trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual, down > 0

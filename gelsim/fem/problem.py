@@ -7,7 +7,7 @@ are driven (contact.RigidContact).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -135,6 +135,8 @@ class PressProblem:
             field = distance_field(scene)
             self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, numerics.contact_points, gel.symmetry)
         self.options = NewtonOptions(numerics.tolerance or TOLERANCES[scene.fidelity], patient=numerics.patient)
+        if isinstance(body, TetMesh) and not numerics.patient:  # crushed tets fold: another try costs less than the way down
+            self.options = replace(self.options, max_downhill=0)
         self.copies = 2 ** len(gel.symmetry)
 
     @cached_property

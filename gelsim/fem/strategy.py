@@ -28,7 +28,7 @@ class Try:
 
 
 PLAIN, HELD = Try(), Try(12, held=20.0)
-WAYS = (PLAIN, replace(HELD, goes_on=True, most_wasted=SOON), HELD)
+WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_wasted=SOON), HELD)
 """The tries that a press may have, one after the other until one reaches its end."""
 
 

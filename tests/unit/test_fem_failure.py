@@ -17,7 +17,7 @@ from gelsim.errors import MeshingError, PressEnd, SolveError, SolveStatus
 from gelsim.fem import quasistatic, strategy
 from gelsim.fem.batch import run_batch
 from gelsim.fem.energy import EnergyBalance
-from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, stalls
+from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, forgotten, spent, stalls
 from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.pipeline import stages
@@ -321,6 +321,19 @@ def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
 def test_exact_steps_that_lead_nowhere_end_a_solve(sizes: list[float], ends: bool) -> None:
     assert stalls(sizes, NewtonOptions(patient=False)) == ends
     assert not stalls(sizes, NewtonOptions()), "where no other try follows it goes on"
+
+
+def test_steps_down_from_saddles_of_soft_bodies_are_counted_where_a_try_follows() -> None:
+    """They are like others there, and so is what the residual was before; of rigid bodies, and in the last try, they are not."""
+    counted = []
+    for rigid in (False, True):
+        scene = build_scene({"fidelity": "fast", "object": {"rigid": rigid}})
+        bodies, materials = stages.bodies(scene), press_materials(scene)
+        for patient in (False, True):
+            problem = PressProblem(scene, *bodies, materials, "cpu", Numerics(patient=patient))
+            counted.append((spent(30, 30, problem.options), forgotten([0.1, 1.0], problem.options)))
+    down = (False, [np.inf, np.inf])
+    assert counted == [(True, [0.1, 1.0]), down, down, down]
 
 
 def test_of_two_tries_the_better_is_kept() -> None:
