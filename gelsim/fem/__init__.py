@@ -105,9 +105,8 @@ def _problem(
     from gelsim.scene.materials import press_materials
 
     patient = (way.held > 0.0 and not way.goes_on) if patient is None else patient
-    # Of a rigid body volume seldom is what stops a try, so the first goes on.
-    first = scene.object.rigid and not way.goes_on
-    wasted = MOST_WASTED if first or way.most_wasted is None else way.most_wasted
+    lasts = scene.object.rigid and not way.goes_on  # volume held from then on would seldom help
+    wasted = MOST_WASTED if lasts or way.most_wasted is None else way.most_wasted
     numerics = Numerics(contact_points=way.contact_points, held=way.held, most_wasted=wasted, patient=patient)
     return PressProblem(scene, gel, body, placement, press_materials(scene), device, numerics)
 

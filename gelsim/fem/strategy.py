@@ -22,7 +22,7 @@ class Try:
     held: float = 0.0
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
     most_wasted: int | None = None
-    """Newton iterations of solves that failed, after which a march of it ends; None: `problem.MOST_WASTED`."""
+    """Newton iterations of solves that failed, after which a march of it ends; None, and of rigid bodies at rest: `MOST_WASTED`."""
     goes_on: bool = False
     """Begins where the try before it ended, not at rest."""
 

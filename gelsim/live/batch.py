@@ -390,9 +390,8 @@ class LiveBatch:
         """As `gelsim.live.sensor.State.field`: displacement over the grid as it is seen [mm], (n, 3, rows, columns)."""
         layers, rest = self._layers, self._rest
         ways = layers.ways(state.thickness)
-        along, _ = layers.bending(state.pressure, state.moved, rest)
-        height = layers.height(state.pressure, state.moved, rest)
-        sideways = state.moved[:, :2] + layers.dragged(ways, along) + layers.carried(state.moved, height)
+        along, carried = layers.bending(state.pressure, state.moved, rest)
+        sideways = state.moved[:, :2] + layers.dragged(ways, along) + carried
         z = state.moved[:, 2]
         if self._friction:
             led = layers.led(state.pressure, state.moved, rest)

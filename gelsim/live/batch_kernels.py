@@ -63,12 +63,16 @@ def lifted_waves(ways: wp.array3d(dtype=float), tractions: wp.array3d(dtype=wp.v
 
 
 @wp.func
-def line_search(steep: wp.float64, against: wp.float64, size: wp.float64, step: float) -> wp.vec2f:
+def line_search(steep: wp.float64, against: wp.float64, size: wp.float64) -> wp.vec2f:
     """Share of a move to the least of a quadratic function, at most all of it, and the next step against the gradient (Birgin, Martínez and
-    Raydan 2000): of how the gradient changes, its product with the move, with itself, and of the gradient before with the move."""
-    if steep <= wp.float64(0.0):  # by rounding
-        return wp.vec2f(0.0, step)
-    return wp.vec2f(wp.float32(wp.clamp(-against / steep, wp.float64(0.0), wp.float64(1.0))), wp.float32(steep / size))
+    Raydan 2000): of how the gradient changes, its product with the move, with itself, and of the gradient before with the move, each what a
+    thread of the block has of it. Both are 0 where nothing rises along the move, which rounding made."""
+    total = wp.tile_sum(wp.tile(steep))[0]
+    before = wp.tile_sum(wp.tile(against))[0]
+    length = wp.tile_sum(wp.tile(size))[0]
+    if total <= wp.float64(0.0):
+        return wp.vec2f(0.0, 0.0)
+    return wp.vec2f(wp.float32(wp.clamp(-before / total, wp.float64(0.0), wp.float64(1.0))), wp.float32(total / length))
 
 
 @wp.kernel(enable_backward=False)
@@ -90,7 +94,6 @@ def press_on(
     if step[n, 0] == 0.0:
         return
     found = wp.vec2f(0.0, step[n, 0])
-    steep = wp.float64(1.0)
     if turn > 0:
         steep = wp.float64(0.0)
         against = wp.float64(0.0)
@@ -99,8 +102,7 @@ def press_on(
             steep += wp.float64(change[n, k] * move[n, k])
             against += wp.float64(gap[n, k] * move[n, k])
             size += wp.float64(change[n, k] * change[n, k])
-        steep = wp.tile_sum(wp.tile(steep))[0]
-        found = line_search(steep, wp.tile_sum(wp.tile(against))[0], wp.tile_sum(wp.tile(size))[0], found[1])
+        found = line_search(steep, against, size)
     inside = wp.float64(0.0)
     held = float(0.0)
     lowest = float(0.0)
@@ -121,7 +123,7 @@ def press_on(
     most = allowed[n, 0] * allowed[n, 0] * wp.tile_sum(wp.tile(held))[0]
     worst = wp.tile_min(wp.tile(lowest))[0]
     missed = wp.tile_sum(wp.tile(inside))[0] > wp.float64(most) or -worst > 3.0 * allowed[n, 0]
-    step[n, 0] = wp.where(missed and steep > wp.float64(0.0), found[1], 0.0)  # along a move of rounding alone nothing would change
+    step[n, 0] = wp.where(missed, found[1], 0.0)
 
 
 @wp.func
@@ -151,7 +153,6 @@ def shear_on(
     if step[n, 0] == 0.0:
         return
     found = wp.vec2f(0.0, step[n, 0])
-    steep = wp.float64(1.0)
     if turn > 0:
         steep = wp.float64(0.0)
         against = wp.float64(0.0)
@@ -163,8 +164,7 @@ def shear_on(
                 steep += wp.float64(wp.dot(more, way))
                 against += wp.float64(wp.dot(at(slip, n, k), way))
                 size += wp.float64(wp.dot(more, more))
-        steep = wp.tile_sum(wp.tile(steep))[0]
-        found = line_search(steep, wp.tile_sum(wp.tile(against))[0], wp.tile_sum(wp.tile(size))[0], found[1])
+        found = line_search(steep, against, size)
     off = wp.float64(0.0)
     for k in range(lane, move.shape[2], wp.block_dim()):
         q = at(shear, n, k)
@@ -181,7 +181,7 @@ def shear_on(
         for axis in range(2):
             move[n, axis, k] = way[axis]
     missed = wp.tile_sum(wp.tile(off))[0] > wp.float64(limits[n, 0] * limits[n, 0])
-    step[n, 0] = wp.where(missed and steep > wp.float64(0.0), found[1], 0.0)
+    step[n, 0] = wp.where(missed, found[1], 0.0)
 
 
 @wp.func

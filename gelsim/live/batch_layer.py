@@ -141,9 +141,6 @@ class Layers:
         launch(bent, each, self._cell, single.BENT, stress, *over, moved, along, carried)
         return along, carried
 
-    def carried(self, moved: Tensor, height: Tensor) -> Tensor:
-        return -single.BENT * height[:, None] * self.slope(moved[:, 2]).transpose(0, 1)
-
     def led(self, pressure: Tensor, moved: Tensor, rest: Tensor) -> Tensor:
         """As `layer.Window.led`, (n, rows, columns)."""
         total = pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)

@@ -18,8 +18,8 @@ from gelsim.fem import quasistatic, strategy
 from gelsim.fem.batch import run_batch
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, forgotten, spent, stalls
-from gelsim.fem.problem import Numerics, PressProblem
-from gelsim.fem.quasistatic import run_press
+from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
+from gelsim.fem.quasistatic import SOON, run_press
 from gelsim.pipeline import stages
 from gelsim.results import Deformation, SolveReport
 from gelsim.scene.definition import Scene
@@ -334,6 +334,15 @@ def test_steps_down_from_saddles_of_soft_bodies_are_counted_where_a_try_follows(
             counted.append((spent(30, 30, problem.options), forgotten([0.1, 1.0], problem.options)))
     down = (False, [np.inf, np.inf])
     assert counted == [(True, [0.1, 1.0]), down, down, down]
+
+
+def test_a_rigid_bodys_first_try_is_not_given_up_sooner() -> None:
+    """A soft body's is; what goes on is of both."""
+    wasted = []
+    for rigid in (False, True):
+        scene = build_scene({"fidelity": "fast", "object": {"rigid": rigid}})
+        wasted.append([gelsim.fem._problem(way, scene, *stages.bodies(scene), "cpu").most_wasted for way in strategy.WAYS])
+    assert wasted == [[SOON, SOON, MOST_WASTED], [MOST_WASTED, SOON, MOST_WASTED]]
 
 
 def test_of_two_tries_the_better_is_kept() -> None:
