@@ -537,10 +537,12 @@ class SurfaceContact:
         self.anchor_place.assign(self.place)
 
     def node_pairs(self, margin: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Node pairs (slave, master) that contact may couple in any scene: of faces nearer than `margin` [mm] and of those around them."""
+        """Node pairs (slave, master) that contact may couple in any scene: of points nearer than `margin` [mm], or than what their
+        multiplier bears across, and of the faces around them."""
         own_face = np.arange(len(self.weight)) // self.points % len(self.slave_faces)
         gap, face = self.gap.numpy(), self.face.numpy()
-        near = (gap < margin) & (face >= 0)
+        borne_across = self.multiplier.numpy() / np.repeat(self.stiffness.numpy(), self.points)
+        near = (gap < np.maximum(margin, borne_across)) & (face >= 0)
         slave, master = own_face[near], face[near]
         if self.frictional:
             anchor = self.anchor_face.numpy()

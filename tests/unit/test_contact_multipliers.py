@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_fixtures import TOLERANCE, flat_gel, problem_of, rigid_body
+from fem_fixtures import TOLERANCE, cap_press, cap_scene, flat_gel, problem_of, rigid_body
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.contact import LEFT_MM
@@ -47,3 +47,18 @@ def test_a_sharp_rim_keeps_the_overlap_that_it_is_granted(punch: PressProblem) -
     granted = LEFT_MM + punch.law.smoothing / 2
     assert overlap_at_rest(punch) < 1.1 * granted
     assert overlap_at_rest(punch, np.inf) > 4 * granted
+
+
+def test_the_tangent_holds_what_a_multiplier_bears_far_from_the_object() -> None:
+    """A point acts where λ / k is more than its gap, however wide that is: pairs beyond those of near points, which the pattern then holds."""
+    problem, _ = cap_press(cap_scene(100.0, 0.2, 2))
+    contact, newton = problem.contact, problem.newton
+    newton.residual(2.0)
+    gap, found = contact.gap.numpy(), contact.face.numpy() >= 0
+    far = found & (gap > 0.8)
+    assert far.any()
+    stiffness = np.repeat(contact.stiffness.numpy(), contact.points)
+    contact.multiplier.assign(np.where(far, 1.1 * gap * stiffness, contact.multiplier.numpy()))
+    newton.residual(2.0)
+    newton.tangent(True)
+    assert int(contact.missing.numpy()[0]) == 0 and (contact.pressure.numpy()[far] > 0.0).all()
