@@ -180,6 +180,7 @@ class _Batch:
         """Residuals of each scene's present solve."""
         self.exact_after = np.array([problem.options.exact_after for problem in problems])
         self.inverted, self.whole = np.zeros(self.count, bool), np.zeros(self.count, bool)
+        self.options = [problem.options for problem in problems]
         self.stiffened = np.zeros(self.count, int)
         """Which of SHIFTS was the last to be needed."""
         self.downhill = np.zeros(self.count, bool)
@@ -229,6 +230,7 @@ class _Batch:
     def _take(self, scene: int, request: Request) -> None:
         """Begins what a march asks for."""
         options = self.problems[scene].options
+        self.options[scene] = options = options.brief if request.brief else options
         self.goal[scene] = request.tolerance or options.tolerance
         self.solves[scene] = request.solve
         self.iteration[scene] = self.down[scene] = self.factorisations[scene] = 0
@@ -239,7 +241,7 @@ class _Batch:
         """Whether, and how, a scene's Newton has ended."""
         iteration, size = int(self.iteration[scene]), float(residual.size[scene])
         self.sizes_seen[scene][iteration:] = [size]
-        status, options = None, self.problems[scene].options
+        status, options = None, self.options[scene]
         if self.inverted[scene]:
             status = SolveStatus.INVERTED_ELEMENT
         elif not residual.finite[scene]:
@@ -318,7 +320,7 @@ class _Batch:
         self.downhill &= near
         self.down += self.downhill
         for scene in np.flatnonzero(self.downhill):
-            self.sizes_seen[scene] = forgotten(self.sizes_seen[scene], self.problems[scene].options)
+            self.sizes_seen[scene] = forgotten(self.sizes_seen[scene], self.options[scene])
         after = self._line_search(active, residual)
         self.iteration[active] += 1
         return after

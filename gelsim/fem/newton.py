@@ -12,7 +12,7 @@ docs/decisions/0008-ways-of-trying.md). Converged means: forces balance to `tole
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -47,6 +47,13 @@ class NewtonOptions:
     """Iterations with rough steps (`SymmetricSystem.step`); where that was not enough, steps are exact."""
     patient: bool = True
     """Whether a solve goes on to the last iteration where exact steps lead nowhere (`stalls`): where there is no other try after this."""
+    folds: bool = False
+    """Whether tets may be crushed and fold: soft bodies."""
+
+    @property
+    def brief(self) -> NewtonOptions:
+        """Where a shorter step, or another try, is to be had: it costs less than the way down from the saddle of what folds."""
+        return replace(self, patient=False, max_downhill=0) if self.folds else self
 
 
 def spent(iterations: int, downhill: int, options: NewtonOptions) -> bool:
@@ -193,18 +200,22 @@ class Newton:
             return None, 0.0
         return trial, fraction
 
-    def solve(self, reach: float, tolerance: float | None = None, solve: bool = True, whole: bool = False) -> NewtonReport:
+    def solve(
+        self, reach: float, tolerance: float | None = None, solve: bool = True, whole: bool = False, brief: bool = False
+    ) -> NewtonReport:
         """Iterates from the solids' present state, in place, to `tolerance` (default: the options').
 
         `reach` [mm] bounds the search for contact. Without `solve` only forces of the present state are found, and pairs of the points that
-        have none. With `whole` it ends where its first step, taken whole, would turn an element inside out.
+        have none. With `whole` it ends where its first step, taken whole, would turn an element inside out; with `brief` options are brief.
         """
-        before = self.system.factorisations
-        status, iterations, residual, snapped = self._iterate(reach, tolerance or self.options.tolerance, solve, whole)
+        before, options = self.system.factorisations, self.options.brief if brief else self.options
+        if tolerance is not None:
+            options = replace(options, tolerance=tolerance)
+        status, iterations, residual, snapped = self._iterate(reach, options, solve, whole)
         size = residual.size
         return NewtonReport(status, iterations, size, residual.min_jacobian, self.system.factorisations - before, snapped)
 
-    def _iterate(self, reach: float, goal: float, solve: bool, whole: bool) -> tuple[SolveStatus, int, Residual, bool]:
+    def _iterate(self, reach: float, options: NewtonOptions, solve: bool, whole: bool) -> tuple[SolveStatus, int, Residual, bool]:
         """Newton's iterations; why they ended, how many there were, where, and whether some led down from a saddle."""
         solids, contact = self.solids, self.contact
         residual = self.residual(reach)
@@ -215,9 +226,9 @@ class Newton:
             sizes.append(size)
             if not np.isfinite(residual.equations).all():
                 return SolveStatus.NONFINITE, iteration, residual, down > 0
-            if iteration > 0 and size <= goal:
+            if iteration > 0 and size <= options.tolerance:
                 return SolveStatus.CONVERGED, iteration, residual, down > 0
-            if not solve or spent(iteration, down, self.options) or stalls(sizes, self.options):
+            if not solve or spent(iteration, down, options) or stalls(sizes, options):
                 return SolveStatus.MAX_ITERATIONS, iteration, residual, down > 0
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
@@ -225,14 +236,14 @@ class Newton:
                 self.system.update(self.tangent(near))
             before = size
             coupling = contact.remainder(self.x, self._equation, solids.unknowns) if near else None
-            exact = iteration >= self.options.exact_after
+            exact = iteration >= options.exact_after
             step = self.system.step(-residual.equations, coupling, exact, contact.turns_within if near else np.inf)
             if not np.isfinite(step).all():
                 return SolveStatus.NONFINITE, iteration, residual, down > 0
             downhill = self.system.downhill and near
             if downhill:
                 down += 1
-                sizes = forgotten(sizes, self.options)
+                sizes = forgotten(sizes, options)
             trial, _ = self._line_search(step, residual, reach, exact, whole and iteration == 0, downhill)
             if trial is None:
                 return SolveStatus.INVERTED_ELEMENT, iteration + 1, residual, down > 0

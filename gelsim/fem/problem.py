@@ -7,7 +7,7 @@ are driven (contact.RigidContact).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -134,9 +134,9 @@ class PressProblem:
         else:
             field = distance_field(scene)
             self.contact = RigidContact(coated, self.driven, rest, field, self.law, device, numerics.contact_points, gel.symmetry)
-        self.options = NewtonOptions(numerics.tolerance or TOLERANCES[scene.fidelity], patient=numerics.patient)
-        if isinstance(body, TetMesh) and not numerics.patient:  # crushed tets fold: another try costs less than the way down
-            self.options = replace(self.options, max_downhill=0)
+        tolerance, folds = numerics.tolerance or TOLERANCES[scene.fidelity], isinstance(body, TetMesh)
+        options = NewtonOptions(tolerance, patient=numerics.patient, folds=folds)
+        self.options = options if numerics.patient else options.brief
         self.copies = 2 ** len(gel.symmetry)
 
     @cached_property

@@ -78,6 +78,8 @@ class Request:
     solve: bool = True
     whole: bool = False
     """Whether the first Newton step must be possible as a whole, or the solve ends."""
+    brief: bool = False
+    """Whether a shorter step is to be had (`NewtonOptions.brief`)."""
 
 
 Marching = Generator[Request, NewtonReport, None]
@@ -114,7 +116,7 @@ def run_press(
         try:
             request = next(marching)
             while True:
-                request = marching.send(problem.newton.solve(request.reach, request.tolerance, request.solve, request.whole))
+                request = marching.send(problem.newton.solve(**vars(request)))
         except StopIteration as end:
             deformation: Deformation = end.value
     if throw and deformation.status is not SolveStatus.CONVERGED:
@@ -455,7 +457,7 @@ class _March:
         halvable = new - here.time > FOLDED_STEP * self._spacing
         # gone on with by a part of that step, a coin took 128 iterations, not 68 (23 other parts together 474, not 536), and a leaf's force
         # was 0.6 % further from that of many steps
-        report = yield Request(reach, ROUGH_TOLERANCE, whole=halvable and not again)
+        report = yield Request(reach, ROUGH_TOLERANCE, whole=halvable and not again, brief=halvable)
         self._count(report)
         overlap = np.inf
         for number in range(MAX_AUGMENTATIONS):
@@ -463,7 +465,7 @@ class _March:
                 break
             before = (problem.solids.state(), contact.save(), report) if number > 0 or contact.can_tie else None
             contact.augment()
-            report = yield Request(reach)
+            report = yield Request(reach, brief=halvable)
             self._count(report)
             if before is not None and contact.can_tie and report.status is not SolveStatus.CONVERGED:
                 # once more, without what parts letting go at once
@@ -472,7 +474,7 @@ class _March:
                 contact.restore(before[1])
                 yield Request(reach, solve=False)
                 contact.augment(tie_at=problem.solids.positions())
-                report = yield Request(reach)
+                report = yield Request(reach, brief=halvable)
                 self._count(report)
             if before is not None and number > 0 and report.status is not SolveStatus.CONVERGED:
                 # what was to have less overlap is lost, the equilibrium before it is not

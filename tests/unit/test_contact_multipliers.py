@@ -50,7 +50,7 @@ def test_a_sharp_rim_keeps_the_overlap_that_it_is_granted(punch: PressProblem) -
 
 
 def test_the_tangent_holds_what_a_multiplier_bears_far_from_the_object() -> None:
-    """A point acts where λ / k is more than its gap, however wide that is: pairs beyond those of near points, which the pattern then holds."""
+    """A point acts where λ / k is more than its gap, however wide that is: the pattern then holds more pairs than those of near points."""
     problem, _ = cap_press(cap_scene(100.0, 0.2, 2))
     contact, newton = problem.contact, problem.newton
     newton.residual(2.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -239,8 +240,9 @@ def test_an_augmentation_that_fails_costs_its_own_gain_only(monkeypatch: pytest.
         expected = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
     solve, exact, lost = Newton.solve, [0], [0]
 
-    def astray(newton, reach, tolerance=None, solving=True, whole=False):  # type: ignore[no-untyped-def]
-        report = solve(newton, reach, tolerance, solving, whole)
+    def astray(newton, **asked):  # type: ignore[no-untyped-def]
+        report = solve(newton, **asked)
+        reach, tolerance, solving = (asked[name] for name in ("reach", "tolerance", "solve"))
         fine = tolerance is None or tolerance < quasistatic.ROUGH_TOLERANCE
         exact[0] = exact[0] + 1 if solving and fine else exact[0] if not solving else 0
         if not solving or exact[0] < 2:
@@ -269,9 +271,9 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
         starts.append(extrapolated)
         return predict(march, here, new, approach, extrapolated)
 
-    def astray(newton, reach, tolerance=None, solving=True, whole=False):  # type: ignore[no-untyped-def]
-        report = solve(newton, reach, tolerance, solving, whole)
-        if not (solving and starts[-1]):
+    def astray(newton, **asked):  # type: ignore[no-untyped-def]
+        report = solve(newton, **asked)
+        if not (asked["solve"] and starts[-1]):
             return report
         displacement, pressure = newton.solids.state()
         newton.solids.set_state((0.5 * displacement, pressure))
@@ -287,6 +289,28 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
     # the depth to the power of 1.5.
     assert press.force == pytest.approx(expected.force, rel=1.5 * LEAVES_MM / 0.2, abs=1e-6)
     assert press.gel.displacement == pytest.approx(expected.gel.displacement, abs=LEAVES_MM * MM)
+
+
+def test_solves_are_brief_where_a_shorter_step_is_to_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that are brief fail here, so steps get as short as none is any more."""
+    attempt, solve, halvable, seen = quasistatic._March._attempt, Newton.solve, [False], set()  # pyright: ignore[reportPrivateUsage]
+
+    def told(march, here, new, approach, **again):  # type: ignore[no-untyped-def]
+        halvable[0] = new - here.time > quasistatic.FOLDED_STEP * march._spacing
+        return attempt(march, here, new, approach, **again)
+
+    def fails(newton, **asked):  # type: ignore[no-untyped-def]
+        report = solve(newton, **asked)
+        if not asked["solve"]:
+            return report
+        seen.add((halvable[0], asked["brief"]))
+        return replace(report, status=SolveStatus.MAX_ITERATIONS) if asked["brief"] else report
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", told)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(Newton, "solve", fails)
+    scene, gel = ball_scene(0.2, 2), flat_gel(0.7, 2.1)
+    assert run_press(problem_of(scene, gel, rigid_body(scene, gel))).status is SolveStatus.CONVERGED
+    assert seen == {(True, True), (False, False)}
 
 
 def test_a_march_ends_when_too_many_iterations_are_wasted() -> None:
@@ -324,16 +348,17 @@ def test_exact_steps_that_lead_nowhere_end_a_solve(sizes: list[float], ends: boo
 
 
 def test_steps_down_from_saddles_of_soft_bodies_are_counted_where_a_try_follows() -> None:
-    """They are like others there, and so is what the residual was before; of rigid bodies, and in the last try, they are not."""
-    counted = []
+    """They are like others there, or a shorter step, and so is what the residual was before; of rigid bodies, and in the last try, not."""
+    counted, brief = [], []
     for rigid in (False, True):
         scene = build_scene({"fidelity": "fast", "object": {"rigid": rigid}})
         bodies, materials = stages.bodies(scene), press_materials(scene)
         for patient in (False, True):
             problem = PressProblem(scene, *bodies, materials, "cpu", Numerics(patient=patient))
-            counted.append((spent(30, 30, problem.options), forgotten([0.1, 1.0], problem.options)))
-    down = (False, [np.inf, np.inf])
-    assert counted == [(True, [0.1, 1.0]), down, down, down]
+            for options, found in ((problem.options, counted), (problem.options.brief, brief)):
+                found.append((spent(30, 30, options), forgotten([0.1, 1.0], options)))
+    down, like_others = (False, [np.inf, np.inf]), (True, [0.1, 1.0])
+    assert counted == [like_others, down, down, down] and brief == [like_others, like_others, down, down]
 
 
 def test_a_rigid_bodys_first_try_is_not_given_up_sooner() -> None:
@@ -381,9 +406,9 @@ def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batc
     course = quasistatic.Course()
     solve = first.newton.solve
 
-    def lost(reach: float, tolerance: float | None = None, solving: bool = True, whole: bool = False) -> NewtonReport:
-        report = solve(reach, tolerance, solving, whole)
-        gone = solving and first.solids.state()[0][first.driven, 2].min() < -lost_from_mm
+    def lost(**asked: Any) -> NewtonReport:
+        report = solve(**asked)
+        gone = asked["solve"] and first.solids.state()[0][first.driven, 2].min() < -lost_from_mm
         return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
 
     first.newton.solve = lost  # type: ignore[method-assign]
