@@ -368,10 +368,15 @@ class _March:
         self._arrive(start, before.normal_force)
         if not (yield from self._attempt(start, here.time, here.approach)):
             return False
+        force = -problem.contact_force()[2]
+        if self.stop_n is not None and not self.stopped and self._leg == 1 and force >= self.stop_n:
+            # it bears more by this discretisation: the press ends before here, on the way from rest
+            self.status, self.message = SolveStatus.MAX_ITERATIONS, f"at approach {here.approach * MM_PER_M:.4g} mm, beyond its force"
+            return False
         self._settle()
         self.recorder.problem = problem
         self.energy.go_on(problem)
-        self._arrive(self._state(here.time, here.approach), -problem.contact_force()[2])
+        self._arrive(self._state(here.time, here.approach), force)
         return True
 
     def _arrive(self, state: _State, force: float) -> None:

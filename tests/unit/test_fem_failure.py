@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -396,24 +397,31 @@ STICKY = build_scene({
 """A soft ball with friction, sheared."""
 
 
-def made_sticky(contact_points: int = 12, held: float = 0.0, frames: int = 5) -> PressProblem:
-    numerics, scene = Numerics(contact_points=contact_points, held=held), STICKY.replace(press=replace(STICKY.press, frames=frames))
+def made_sticky(contact_points: int = 12, held: float = 0.0, frames: int = 5, force_n: float | None = None) -> PressProblem:
+    numerics = Numerics(contact_points=contact_points, held=held)
+    scene = STICKY.replace(press=replace(STICKY.press, frames=frames, force_n=force_n))
     return PressProblem(scene, *stages.bodies(scene), press_materials(scene), "cpu", numerics)
+
+
+def lost(problem: PressProblem, from_mm: float, course: quasistatic.Course) -> Deformation:
+    """A press that is lost from an approach on."""
+    solve = problem.newton.solve
+
+    def astray(**asked: Any) -> NewtonReport:
+        report = solve(**asked)
+        gone = asked["solve"] and problem.solids.state()[0][problem.driven, 2].min() < -from_mm
+        return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
+
+    problem.newton.solve = astray  # type: ignore[method-assign]
+    begun = run_press(problem, course=course, throw=False)
+    assert begun.lost and course.before is not None
+    return begun
 
 
 def goes_on(first: PressProblem, second: PressProblem, lost_from_mm: float, batched: bool) -> tuple[Deformation, Deformation]:
     """A press that is lost in `first` from an approach on, and what it becomes as `second` goes on."""
     course = quasistatic.Course()
-    solve = first.newton.solve
-
-    def lost(**asked: Any) -> NewtonReport:
-        report = solve(**asked)
-        gone = asked["solve"] and first.solids.state()[0][first.driven, 2].min() < -lost_from_mm
-        return replace(report, status=SolveStatus.MAX_ITERATIONS) if gone else report
-
-    first.newton.solve = lost  # type: ignore[method-assign]
-    begun = run_press(first, course=course, throw=False)
-    assert begun.lost and course.before is not None
+    begun = lost(first, lost_from_mm, course)
     whole = run_batch([second], courses=[course])[0] if batched else run_press(second, course=course)
     assert whole.status is SolveStatus.CONVERGED and whole.approach == pytest.approx(np.linspace(0, 0.8, second.scene.press.frames) * MM)
     return begun, whole
@@ -435,6 +443,18 @@ def test_a_lost_press_goes_on_by_other_points(points: int, batched: bool) -> Non
     assert alone.force[1, 0] > 0.2 * alone.force[-1, 0] and forgotten > 0.03
     assert off.max() < forgotten / 5
     assert whole.report.energy is not None and abs(whole.report.energy.drift) < 0.01  # found: 0.001
+
+
+def test_a_press_does_not_go_on_from_beyond_its_force() -> None:
+    """Held volume bears the force where the press is to go on already: it is between the states before, which only the whole way finds."""
+    course, bears = quasistatic.Course(), -run_press(made_sticky()).force[1, 2]
+    to_force = partial(made_sticky, force_n=1.004 * bears)  # held volume bears 0.7 % more or above
+    begun = lost(to_force(), 0.2001, course)
+    assert begun.force[-1, 2] == pytest.approx(-bears) and course.before is not None
+    beyond = run_press(to_force(held=20.0), course=course, throw=False)
+    assert beyond.lost and beyond.approach[-1] == begun.approach[-1]
+    alone = run_press(to_force(held=20.0))
+    assert alone.report.ended_by is PressEnd.FORCE and alone.force[-1, 2] == pytest.approx(-1.004 * bears, rel=0.005)
 
 
 @pytest.mark.parametrize("batched", [False, True])
