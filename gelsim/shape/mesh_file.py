@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ from gelsim.scene.definition import Body, Gel
 from gelsim.scene.limits import MESH_SUFFIXES
 from gelsim.shape.orientation import is_reoriented, orientation
 from gelsim.units import MESH_UNITS, MM
+
+if TYPE_CHECKING:
+    import manifold3d
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -426,10 +429,7 @@ def compare_bodies(surface: TriMesh) -> Bodies | None:
         parts.append(TriMesh(surface.vertices[used], faces.reshape(-1, 3).astype(np.int32)))
     parts.sort(key=lambda part: -abs(enclosed_volume(part)))
     outward = [enclosed_volume(part) > 0 for part in parts]
-    solids = [
-        manifold3d.Manifold(manifold3d.Mesh64(part.vertices, (part.faces if out else part.faces[:, ::-1]).astype(np.uint64)))
-        for part, out in zip(parts, outward, strict=True)
-    ]
+    solids = [_manifold(part.vertices, part.faces if out else part.faces[:, ::-1]) for part, out in zip(parts, outward, strict=True)]
     if any(solid.status() != manifold3d.Error.NoError for solid in solids):
         return None
     lower, upper = (np.array([end(part.vertices, axis=0) for part in parts]) for end in (np.min, np.max))
@@ -455,11 +455,18 @@ def compare_bodies(surface: TriMesh) -> Bodies | None:
     return Bodies(filled, tuple(faults), shared if shared > _SHARED * filled else 0.0)
 
 
+def _manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
+    """A surface as manifold3d has it, which takes arrays that may be written, in the order of C: its own may not."""
+    import manifold3d
+
+    return manifold3d.Manifold(manifold3d.Mesh64(np.array(vertices, order="C"), np.array(faces, np.uint64, order="C")))
+
+
 def cut_flat(vertices: Array, faces: Faces, named: str) -> tuple[Array, Faces]:
     """Without what lies above the plane at which the platen holds it."""
     import manifold3d
 
-    solid3 = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
+    solid3 = _manifold(vertices, faces)
     if solid3.status() != manifold3d.Error.NoError:
         raise SceneError(
             f"{named} cannot be cut where a turned soft object is held ({solid3.status().name}); give rigid = true, or no turn"
@@ -473,7 +480,7 @@ def _thinned(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[
     """The same surface within `_TOLERANCE` with fewer faces; as it was where manifold3d takes it for no manifold."""
     import manifold3d
 
-    solid3 = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
+    solid3 = _manifold(vertices, faces)
     if solid3.status() != manifold3d.Error.NoError:
         return vertices, faces
     thin = solid3.simplify(_THIN_TOLERANCE).to_mesh64()
