@@ -72,8 +72,12 @@ def choose_reduction(scene: Scene) -> Reduction:
         if error <= allowed:
             return Reduction(kind, frozenset(), error, f"its estimated error in force, {error:.2g}, is below {allowed:g}")
         refused.append(f"{kind} would be off by up to {error:.2g} in force, {allowed:g} is allowed")
+    return solids(scene, "; ".join(refused) or ("as press.symmetry says" if wanted != "auto" else "the scene does not reduce to a profile"))
+
+
+def solids(scene: Scene, reason: str) -> Reduction:
+    """What the mirror planes leave of both solids."""
     planes = press_symmetry(scene)
-    reason = "; ".join(refused) or ("as press.symmetry says" if wanted != "auto" else "the scene does not reduce to a profile")
     return Reduction("mirror" if planes else "none", planes, 0.0, reason)
 
 

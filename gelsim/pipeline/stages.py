@@ -130,12 +130,9 @@ def press(
             return live_press(scene, progress=report)
     with record.stage("import"):
         import gelsim.fem  # noqa: F401  # counted here, not as the press
-        from gelsim.mesh.reductions import choose_reduction
+        from gelsim.mesh.reductions import choose_reduction, solids
     reduction = choose_reduction(scene)
-    symmetry = reduction.planes
-    record.choices["symmetry"] = reduction.kind if reduction.planar else sorted(symmetry)
-    record.choices["symmetry_reason"] = reduction.reason
-    record.choices["symmetry_force_error"] = reduction.error
+    _note_reduction(reduction, record)
     gel_material, object_materials = materials.gel_material(scene), materials.object_materials(scene)
     object_material = object_materials.get("body")
     record.choices["gel_modulus_kpa"] = gel_material.youngs_modulus / 1e3
@@ -143,8 +140,19 @@ def press(
     for name, material in list(object_materials.items())[1:]:
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
     if reduction.planar:
-        return _press_profile(scene, reduction, record, report, throw)
-    return _press_solid(scene, symmetry, device, record, report, throw, enough)
+        free = scene.press.symmetry == "auto"
+        found = _press_profile(scene, reduction, record, report, throw and not free)
+        if not (free and found.lost):
+            return found
+        reduction = solids(scene, f"a profile ended at {found.approach[-1] * 1e3:.3g} mm, and has no other tries")
+        _note_reduction(reduction, record)
+    return _press_solid(scene, reduction.planes, device, record, report, throw, enough)
+
+
+def _note_reduction(reduction: Reduction, record: Record) -> None:
+    record.choices["symmetry"] = reduction.kind if reduction.planar else sorted(reduction.planes)
+    record.choices["symmetry_reason"] = reduction.reason
+    record.choices["symmetry_force_error"] = reduction.error
 
 
 def _press_solid(

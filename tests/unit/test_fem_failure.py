@@ -23,7 +23,7 @@ from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, forgotten, sp
 from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
 from gelsim.fem.quasistatic import SOON, run_press
 from gelsim.pipeline import stages
-from gelsim.results import Deformation, SolveReport
+from gelsim.results import Deformation, ErrorEstimate, SolveReport
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import build_scene
 from gelsim.scene.materials import press_materials
@@ -550,6 +550,24 @@ def test_a_lost_press_gets_another_mesh(
     asked.clear()
     stages.press(scene.replace(object=replace(scene.object, rigid=True)))
     assert asked == [0]  # a rigid one has no tets
+
+
+@pytest.mark.parametrize(("symmetry", "solid"), [("auto", True), ("axisymmetric", False)])
+def test_a_lost_profile_is_pressed_as_a_solid(
+    symmetry: str, solid: bool, deformation: Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the scene leaves the choice; planted: the profile is lost."""
+    lost = replace(deformation, report=SolveReport(ended_by=PressEnd.LOST, error_estimate=ErrorEstimate(0.01, 1.0)))
+    there = replace(deformation, report=SolveReport(ended_by=PressEnd.DEPTH))
+    monkeypatch.setattr(gelsim.fem, "solve_planar", lambda *_, **__: lost)
+    monkeypatch.setattr(gelsim.fem, "solve_press", lambda *_, **__: there)
+    monkeypatch.setattr(stages, "_bodies", lambda *_: (0, 0, 0))
+    record = stages.Record()
+    given = {"fidelity": "fast", "gel": {"profile": "flat"}, "object": {"shape": "hemisphere"}}
+    scene = build_scene(given | {"press": {"depth_mm": 0.5, "symmetry": symmetry}})
+    press = stages.press(scene, record=record)
+    assert press.report.ended_by is (PressEnd.DEPTH if solid else PressEnd.LOST)
+    assert record.choices["symmetry"] == (["x", "y"] if solid else "axisymmetric")
 
 
 class _Asked(Exception):
