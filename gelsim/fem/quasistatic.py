@@ -481,15 +481,16 @@ class _March:
                 contact.augment(tie_at=problem.solids.positions())
                 report = yield Request(reach, brief=halvable)
                 self._count(report)
-            if before is not None and number > 0 and report.status is not SolveStatus.CONVERGED:
-                # what was to have less overlap is lost, the equilibrium before it is not
+            deepest = -float(contact.gap.numpy().min())
+            if before is not None and number > 0 and (report.status is not SolveStatus.CONVERGED or deepest > overlap):
+                # what was to have less overlap is lost or has more, the equilibrium before it is not
                 self._wasted += report.iterations
                 fields, pairs, report = before
                 problem.solids.set_state(fields)
                 contact.restore(pairs)
                 yield Request(reach, solve=False)
                 break
-            overlap = -float(contact.gap.numpy().min())
+            overlap = deepest
             if overlap <= OVERLAP_MM:
                 break
         folds = report.min_jacobian < FOLDED * here.min_jacobian and halvable
