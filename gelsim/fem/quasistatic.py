@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Record = Callable[[PressProblem], Recorder]
 
-MAX_AUGMENTATIONS = 3  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
+MAX_AUGMENTATIONS = 6  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
 OVERLAP_MM = 15e-3  # overlap above which another augmentation is tried; the steps that follow lessen it too
 CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no answer; sharp rims into `fast` meshes keep up to that
