@@ -481,10 +481,10 @@ class _March:
                 contact.augment(tie_at=problem.solids.positions())
                 report = yield Request(reach, brief=halvable)
                 self._count(report)
-            deepest = -float(contact.gap.numpy().min())
-            if before is not None and number > 0 and (report.status is not SolveStatus.CONVERGED or deepest > overlap):
+            lost, deepest = report.status is not SolveStatus.CONVERGED, -float(contact.gap.numpy().min())
+            if before is not None and number > 0 and (lost or deepest > overlap):
                 # what was to have less overlap is lost or has more, the equilibrium before it is not
-                self._wasted += report.iterations
+                self._wasted += report.iterations if lost else 0
                 fields, pairs, report = before
                 problem.solids.set_state(fields)
                 contact.restore(pairs)
