@@ -206,7 +206,7 @@ class Newton:
         """Iterates from the solids' present state, in place, to `tolerance` (default: the options').
 
         `reach` [mm] bounds the search for contact. Without `solve` only forces of the present state are found, and pairs of the points that
-        have none. With `whole` it ends where its first step, taken whole, would turn an element inside out; `brief`: by `NewtonOptions.brief`.
+        have none. `whole`: it ends where its first step, taken whole, would turn an element inside out. `brief`: by the options' `brief`.
         """
         before, options = self.system.factorisations, self.options.brief if brief else self.options
         if tolerance is not None:
