@@ -485,6 +485,7 @@ class _March:
             if before is not None and number > 0 and (lost or deepest > overlap):
                 # what was to have less overlap is lost or has more, the equilibrium before it is not
                 self._wasted += report.iterations if lost else 0
+                overlap = overlap if lost else deepest  # CUT_MM is for what it leads to
                 fields, pairs, report = before
                 problem.solids.set_state(fields)
                 contact.restore(pairs)
@@ -495,7 +496,9 @@ class _March:
                 break
         folds = report.min_jacobian < FOLDED * here.min_jacobian and halvable
         through = again and overlap > CUT_MM
-        if report.status is SolveStatus.CONVERGED and not folds and not through:
+        # a long step may end on the other side of an edge: what gives way does so in a short one too
+        drops = halvable and self._to_force_alone and -problem.contact_force()[2] < GAVE_WAY * self.most[0]
+        if report.status is SolveStatus.CONVERGED and not folds and not through and not drops:
             self._smallest = report.min_jacobian
             return True
         self.status = report.status

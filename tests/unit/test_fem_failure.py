@@ -231,6 +231,27 @@ def test_a_press_to_a_force_ends_where_the_object_gives_way(
     assert f"{-press.force[-1, 2]:.3g} N is the most that the object bears" in press.report.warnings[-1]
 
 
+def test_what_gives_way_in_a_long_step_is_looked_at_in_shorter_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: beyond 0.2 N long steps end where the object bears a tenth. In short ones it bears the force."""
+    attempt, bears, long = quasistatic._March._attempt, PressProblem.contact_force, [False]  # pyright: ignore[reportPrivateUsage]
+
+    def told(march, here, new, approach, **again):  # type: ignore[no-untyped-def]
+        long[0] = new - here.time > quasistatic.FOLDED_STEP * march._spacing
+        return attempt(march, here, new, approach, **again)
+
+    def drops(problem: PressProblem) -> Array:
+        found = bears(problem)
+        return 0.1 * found if long[0] and -found[2] > 0.2 else found
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", told)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(PressProblem, "contact_force", drops)
+    scene = ball_scene(0.6, 3, radius_mm=5.0)
+    scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.4))
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    press = run_press(problem_of(scene, gel, rigid_body(scene, gel)))
+    assert press.report.ended_by is PressEnd.FORCE and -press.force[-1, 2] == pytest.approx(0.4, rel=0.005)
+
+
 @pytest.mark.parametrize("ends", [SolveStatus.MAX_ITERATIONS, SolveStatus.CONVERGED])
 def test_an_augmentation_that_fails_costs_its_own_gain_only(ends: SolveStatus, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every step's second one goes astray, or to more overlap: what is left are the states of the first ones, and no step is halved."""
