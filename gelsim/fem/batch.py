@@ -181,6 +181,7 @@ class _Batch:
         self.exact_after = np.array([problem.options.exact_after for problem in problems])
         self.inverted, self.whole = np.zeros(self.count, bool), np.zeros(self.count, bool)
         self.options = [problem.options for problem in problems]
+        """Of each scene's present solve."""
         self.stiffened = np.zeros(self.count, int)
         """Which of SHIFTS was the last to be needed."""
         self.downhill = np.zeros(self.count, bool)

@@ -285,7 +285,7 @@ class _March:
             if self.halved:
                 new = min(new, self._nearly_at_force())
             if not (yield from self._attempt_step(here, new)):
-                if self._gives_way(1 - FORCE_TOLERANCE) or self._out_of_reach():
+                if self._gives_way(self.normal_force, 1 - FORCE_TOLERANCE) or self._out_of_reach():
                     return self._end_here(progress)
                 step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
@@ -313,7 +313,7 @@ class _March:
                 step *= growth
             elif easy >= 2 and step < longest:
                 step, easy = min(2 * step, longest), 0
-            if self._gives_way(GAVE_WAY):
+            if self._gives_way(force, GAVE_WAY):
                 return self._end_here(progress)
             if abs(new - target) < 1e-9 * spacing and target == recorded:
                 self._keep(progress)
@@ -323,9 +323,9 @@ class _March:
     def _to_force_alone(self) -> bool:
         return self.stop_n is not None and not self.stopped and self.problem.scene.press.depth_mm is None and self._leg == 1
 
-    def _gives_way(self, share: float) -> bool:
-        """Whether what is pressed to a force alone bears less than a share of what it did: no load of more can stand on it."""
-        return self._to_force_alone and self.normal_force < share * self.most[0]
+    def _gives_way(self, force: float, share: float) -> bool:
+        """Whether what is pressed to a force alone bears [N] less than a share of what it did: no load of more can stand on it."""
+        return self._to_force_alone and force < share * self.most[0]
 
     def _out_of_reach(self) -> bool:
         """Whether what is pressed to a force alone, and has failed for some time, is far from bearing it as deep as such a press goes.
@@ -484,8 +484,10 @@ class _March:
             lost, deepest = report.status is not SolveStatus.CONVERGED, -float(contact.gap.numpy().min())
             if before is not None and number > 0 and (lost or deepest > overlap):
                 # what was to have less overlap is lost or has more, the equilibrium before it is not
-                self._wasted += report.iterations if lost else 0
-                overlap = overlap if lost else deepest  # CUT_MM is for what it leads to
+                if lost:
+                    self._wasted += report.iterations
+                else:
+                    overlap = deepest  # CUT_MM is for what it leads to
                 fields, pairs, report = before
                 problem.solids.set_state(fields)
                 contact.restore(pairs)
@@ -497,7 +499,7 @@ class _March:
         folds = report.min_jacobian < FOLDED * here.min_jacobian and halvable
         through = again and overlap > CUT_MM
         # a long step may end on the other side of an edge: what gives way does so in a short one too
-        drops = halvable and self._to_force_alone and -problem.contact_force()[2] < GAVE_WAY * self.most[0]
+        drops = halvable and self._gives_way(-problem.contact_force()[2], GAVE_WAY)
         if report.status is SolveStatus.CONVERGED and not folds and not through and not drops:
             self._smallest = report.min_jacobian
             return True

@@ -231,19 +231,26 @@ def test_a_press_to_a_force_ends_where_the_object_gives_way(
     assert f"{-press.force[-1, 2]:.3g} N is the most that the object bears" in press.report.warnings[-1]
 
 
-def test_what_gives_way_in_a_long_step_is_looked_at_in_shorter_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Planted: beyond 0.2 N long steps end where the object bears a tenth. In short ones it bears the force."""
-    attempt, bears, long = quasistatic._March._attempt, PressProblem.contact_force, [False]  # pyright: ignore[reportPrivateUsage]
+def halvable_steps(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Tells, as a march goes on, whether the step that it attempts can be halved."""
+    attempt, halvable = quasistatic._March._attempt, [False]  # pyright: ignore[reportPrivateUsage]
 
     def told(march, here, new, approach, **again):  # type: ignore[no-untyped-def]
-        long[0] = new - here.time > quasistatic.FOLDED_STEP * march._spacing
+        halvable[0] = new - here.time > quasistatic.FOLDED_STEP * march._spacing
         return attempt(march, here, new, approach, **again)
+
+    monkeypatch.setattr(quasistatic._March, "_attempt", told)  # pyright: ignore[reportPrivateUsage]
+    return halvable
+
+
+def test_what_gives_way_in_a_long_step_is_looked_at_in_shorter_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: beyond 0.2 N long steps end where the object bears a tenth. In short ones it bears the force."""
+    bears, long = PressProblem.contact_force, halvable_steps(monkeypatch)
 
     def drops(problem: PressProblem) -> Array:
         found = bears(problem)
         return 0.1 * found if long[0] and -found[2] > 0.2 else found
 
-    monkeypatch.setattr(quasistatic._March, "_attempt", told)  # pyright: ignore[reportPrivateUsage]
     monkeypatch.setattr(PressProblem, "contact_force", drops)
     scene = ball_scene(0.6, 3, radius_mm=5.0)
     scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.4))
@@ -317,11 +324,7 @@ def test_a_step_that_fails_is_tried_again_from_the_last_state_alone(monkeypatch:
 
 def test_solves_are_brief_where_a_shorter_step_is_to_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
     """All that are brief fail here, so steps get as short as none is any more."""
-    attempt, solve, halvable, seen = quasistatic._March._attempt, Newton.solve, [False], set()  # pyright: ignore[reportPrivateUsage]
-
-    def told(march, here, new, approach, **again):  # type: ignore[no-untyped-def]
-        halvable[0] = new - here.time > quasistatic.FOLDED_STEP * march._spacing
-        return attempt(march, here, new, approach, **again)
+    solve, halvable, seen = Newton.solve, halvable_steps(monkeypatch), set()
 
     def fails(newton, **asked):  # type: ignore[no-untyped-def]
         report = solve(newton, **asked)
@@ -330,7 +333,6 @@ def test_solves_are_brief_where_a_shorter_step_is_to_be_had(monkeypatch: pytest.
         seen.add((halvable[0], asked["brief"]))
         return replace(report, status=SolveStatus.MAX_ITERATIONS) if asked["brief"] else report
 
-    monkeypatch.setattr(quasistatic._March, "_attempt", told)  # pyright: ignore[reportPrivateUsage]
     monkeypatch.setattr(Newton, "solve", fails)
     scene, gel = ball_scene(0.2, 2), flat_gel(0.7, 2.1)
     assert run_press(problem_of(scene, gel, rigid_body(scene, gel))).status is SolveStatus.CONVERGED
