@@ -28,7 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import LinearOperator, gmres
+from scipy.linalg import solve_triangular
 from threadpoolctl import ThreadpoolController
 
 _MTYPE_SYMMETRIC_INDEFINITE = -2
@@ -210,6 +210,42 @@ class SuperLUSolver:
         return lambda x: upper @ x + upper.T @ x - diagonal * x
 
 
+def gmres(product: Product, b: NDArray[np.float64], tolerance: float, limit: int) -> tuple[NDArray[np.float64], bool]:
+    """x of A x = b from zero, by GMRES of at most `limit` products; whether |b - A x| <= tolerance |b|, by its own recurrence.
+
+    One Gram-Schmidt pass of two products of matrix and vector (Saad 2003, algorithm 6.9, in its classical order), and no product to look at
+    what is left.
+    """
+    size = float(np.linalg.norm(b))
+    if size == 0.0 or not np.isfinite(size):
+        return b.copy(), size == 0.0
+    basis, upper = np.empty((limit + 1, len(b))), np.zeros((limit + 1, limit))
+    turns, left = np.zeros((limit, 2)), np.zeros(limit + 1)
+    basis[0], left[0], number = b / size, size, 0
+    while number < limit and abs(left[number]) > tolerance * size:
+        known, new = basis[: number + 1], product(basis[number])
+        along = known @ new
+        new = new - along @ known
+        height = float(np.linalg.norm(new))
+        column = np.append(along, height)
+        for k in range(number):
+            c, s = turns[k]
+            column[k], column[k + 1] = c * column[k] + s * column[k + 1], c * column[k + 1] - s * column[k]
+        radius = float(np.hypot(column[number], column[number + 1]))
+        if radius == 0.0 or not np.isfinite(radius):
+            break
+        c, s = turns[number] = column[number] / radius, column[number + 1] / radius
+        column[number], column[number + 1] = radius, 0.0
+        upper[: number + 2, number] = column
+        left[number], left[number + 1] = c * left[number], -s * left[number]
+        number += 1
+        if height == 0.0:
+            break
+        basis[number] = new / height
+    x = solve_triangular(upper[:number, :number], left[:number]) @ basis[:number]
+    return x, bool(abs(left[number]) <= tolerance * size)
+
+
 class SymmetricSystem:
     """Solves (K + C) x = b with a direct factorisation of the symmetric K and, for contact's unsymmetric C, GMRES.
 
@@ -222,10 +258,11 @@ class SymmetricSystem:
     # C couples few points: some ten iterations. Where they fall short the step is inexact, and Newton corrects it.
     KRYLOV_TOLERANCE = 1e-3
     KRYLOV_LIMIT = 20
-    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K; and the products of a step above which the next gets new
-    # factors. On one core, in three dimensions, these cost 20 to 40 products.
+    # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K.
     FORCING = 0.03
-    WORN = 13
+    # Operations of a factorisation for each entry that a product and a solve read in its time. Factors are worn out once a step takes more
+    # products than steps with them do on average, their factorisation counted: from there on new ones cost less.
+    PER_ENTRY = 50.0
     # Operations of a factorisation over the entries that a product and a solve read; where it is lower, new factors cost less than the
     # products (`python docs/studies/rough_steps.py`).
     CHEAP = 180.0
@@ -257,6 +294,7 @@ class SymmetricSystem:
         self.direct.factorise(self._values)
         self.factorisations += 1
         self.factored = self._fresh = True
+        self._rough = self._products = 0
         self._worn, self._checked = False, not self.direct.single
 
     def _direct(self, b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -292,6 +330,7 @@ class SymmetricSystem:
         if self._fresh:
             return self.solve(b, coupling)
         if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
+            self._rough += 1
             before, start = self.solves, self.direct.solve(b)
 
             def preconditioned(v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -299,10 +338,10 @@ class SymmetricSystem:
                 product = self.product(v)
                 return self.direct.solve(product if coupling is None else product + coupling(v))
 
-            operator = LinearOperator((len(b), len(b)), matvec=preconditioned, dtype=b.dtype)  # type: ignore[call-arg]
-            x, failed = gmres(operator, start, rtol=self.FORCING, restart=self.KRYLOV_LIMIT, maxiter=1)
-            self._worn = self.solves - before > self.WORN
-            if not failed:
+            x, enough = gmres(preconditioned, start, self.FORCING, self.KRYLOV_LIMIT)
+            self._products += self.solves - before
+            self._worn = self.solves - before > (self.direct.cost / self.PER_ENTRY + self._products) / self._rough
+            if enough:
                 return x
         if exact and self.positive is not None and self.direct.negative is not None:
             return self._down(self.positive, b, coupling, reach, went_down)
@@ -361,8 +400,7 @@ class SymmetricSystem:
         def coupled(v: NDArray[np.float64]) -> NDArray[np.float64]:
             return v + self._direct(coupling(v))
 
-        operator = LinearOperator((len(b), len(b)), matvec=coupled, dtype=b.dtype)  # type: ignore[call-arg]
-        return gmres(operator, x, x0=x, rtol=self.KRYLOV_TOLERANCE, restart=self.KRYLOV_LIMIT, maxiter=1)[0]
+        return gmres(coupled, x, self.KRYLOV_TOLERANCE, self.KRYLOV_LIMIT)[0]
 
 
 class BatchedSystem:

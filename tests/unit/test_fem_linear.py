@@ -11,7 +11,7 @@ from fem_fixtures import MM, Array, ball_scene, box_mesh, flat_gel, problem_of, 
 from gelsim.fem import linear
 from gelsim.fem.assembly import Solids
 from gelsim.fem.batch import run_batch
-from gelsim.fem.linear import PardisoSolver, SuperLUSolver, SymmetricSystem, find_mkl, float64_factors, make_solver
+from gelsim.fem.linear import PardisoSolver, Product, SuperLUSolver, SymmetricSystem, find_mkl, float64_factors, gmres, make_solver
 from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.reference import element_tangent
@@ -213,6 +213,57 @@ def test_rough_steps_on_factors_of_an_earlier_matrix(monkeypatch: pytest.MonkeyP
     x = system.step(right, None, exact=False)
     assert system.factorisations == 3, "GMRES cannot have got there in twelve steps"
     assert np.linalg.norm(whole(far) @ x - right) <= 1e-9 * np.linalg.norm(whole(far), 2) * np.linalg.norm(x)
+
+
+def test_gmres_of_so_many_products() -> None:
+    """Against the least residual in the Krylov space, found by least squares; its own account of what is left is right."""
+    rng = np.random.default_rng(5)
+    matrix = np.eye(30) + 0.4 * rng.standard_normal((30, 30)) / np.sqrt(30)
+    right, asked = rng.standard_normal(30), []
+
+    def product(x: Array) -> Array:
+        asked.append(x)
+        return matrix @ x
+
+    space = [right]
+    for _ in range(4):
+        space.append(matrix @ space[-1])
+    best = np.linalg.lstsq(matrix @ np.array(space).T, right, rcond=None)[0] @ np.array(space)
+    x, enough = gmres(product, right, 1e-9, 5)
+    assert len(asked) == 5 and not enough
+    assert np.linalg.norm(x - best) <= 1e-10 * np.linalg.norm(best)  # the space's condition is 1e3
+    asked.clear()
+    x, enough = gmres(product, right, 1e-3, 20)
+    assert enough and len(asked) < 20
+    assert 1e-6 * np.linalg.norm(right) < np.linalg.norm(right - matrix @ x) <= 1e-3 * np.linalg.norm(right)
+    assert np.array_equal(gmres(np.zeros_like, right, 1e-3, 20)[0], np.zeros(30)), "a singular matrix has no answer, and no error"
+
+
+def test_factors_wear_out_where_new_ones_cost_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A factorisation as dear as six products: after steps of 2, 3, 4, 5 and 6 products, 26 in all, the sixth of them or 5.2 are less."""
+    system = SymmetricSystem()
+    system.analyse(np.arange(3, dtype=np.int32), np.arange(2, dtype=np.int32))
+    system.direct.cost = 6.0 * SymmetricSystem.PER_ENTRY
+    monkeypatch.setattr(SymmetricSystem, "CHEAP", 0.0)
+    products = iter((2, 3, 4, 5, 6))
+
+    def taking(product: Product, b: Array, tolerance: float, limit: int) -> tuple[Array, bool]:
+        for _ in range(next(products) - 1):
+            product(b)
+        return b, True
+
+    system.update(np.ones(2))
+    system.step(np.ones(2), None, exact=False)
+    monkeypatch.setattr(linear, "gmres", taking)
+    worn = []
+    for _ in range(5):
+        system.update(np.ones(2))
+        system.step(np.ones(2), None, exact=False)
+        worn.append(system._worn)
+    assert worn == [False, False, False, False, True]
+    system.update(np.ones(2))
+    system.step(np.ones(2), None, exact=False)
+    assert system.factorisations == 2
 
 
 @needs_mkl
