@@ -275,25 +275,25 @@ class SymmetricSystem:
         self.positive = positive
         self.direct = make_solver(single=_single.get())
         self.factorisations = self.solves = 0
-        self.factored = self._fresh = self._worn = False
+        self.factored = self.fresh = self._worn = False
         self._stiffened, self.downhill = 0, False  # which of SHIFTS was the last to be needed
 
     def analyse(self, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
         """Takes a new pattern."""
         self._pattern = (indices, indptr)
         self.direct.analyse(indptr, indices, np.zeros(len(indices)))
-        self.factored = self._fresh = self._worn = False
+        self.factored = self.fresh = self._worn = False
 
     def update(self, values: NDArray[np.float64]) -> None:
         """Takes a new matrix, whose `values` stay the caller's until the next; the factors stay those of an earlier one."""
-        self._values, self._fresh = values, False
+        self._values, self.fresh = values, False
         self.product = self.direct.product(values)
 
     def factorise(self) -> None:
         """Makes factors of the last matrix."""
         self.direct.factorise(self._values)
         self.factorisations += 1
-        self.factored = self._fresh = True
+        self.factored = self.fresh = True
         self._rough = self._products = 0
         self._worn, self._checked = False, not self.direct.single
 
@@ -327,7 +327,7 @@ class SymmetricSystem:
         `exact` asks for it.
         """
         went_down, self.downhill = self.downhill, False
-        if self._fresh:
+        if self.fresh:
             return self.solve(b, coupling)
         if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
             self._rough += 1

@@ -113,6 +113,7 @@ class Newton:
         self.pattern: SymmetricPattern | None = None
         self._equation = wp.array(solids.equation, dtype=wp.int32, device=solids.device)
         self._values: wp.array  # of the pattern: fresh memory costs more than its clearing
+        self._of_solids: wp.array
         self.displacement_unknown = np.zeros(solids.unknowns)
         self.displacement_unknown[solids.equation[:, :3][solids.free[:, :3]]] = 1.0
         self.system = SymmetricSystem(self.displacement_unknown > 0.0)
@@ -138,19 +139,24 @@ class Newton:
             equations, float(np.abs(unbalanced).max() / scale), float(np.abs(volume / solids.vertex_volume).max()), min_jacobian
         )
 
-    def tangent(self, geometric: bool) -> Array:
-        """The tangent's values at the last `residual`, good until the next; extends the pattern where contact has moved beyond it."""
+    def tangent(self, geometric: bool, kept: bool = False) -> Array:
+        """The tangent's values at the last `residual`, good until the next; extends the pattern where contact has moved beyond it.
+
+        `kept`: with the solids' part as it was assembled last.
+        """
         solids = self.solids
         for _ in range(2):
             if self.pattern is not None:
-                self._values.zero_()
+                if not kept:
+                    self._of_solids.zero_()
+                    solids.add_tangent(self.pattern.pairs, self._of_solids)
+                wp.copy(self._values, self._of_solids)
                 if self.contact.add_tangent(self.x, self.pattern.pairs, self._values, geometric):
-                    solids.add_tangent(self.pattern.pairs, self._values)
                     return self._values.numpy()  # type: ignore[return-value]
             slave, master = self.contact.node_pairs(margin=0.4)
             keys = np.union1d(solids.keys, pair_keys(slave, master, solids.node_count))
-            self.pattern = build_pattern(solids.free, keys, solids.device)
-            self._values = wp.zeros(len(self.pattern.indices), dtype=wp.float64, device=solids.device)
+            self.pattern, kept = build_pattern(solids.free, keys, solids.device), False
+            self._values, self._of_solids = (wp.zeros(len(self.pattern.indices), dtype=wp.float64, device=solids.device) for _ in range(2))
             self.system.analyse(self.pattern.indptr, self.pattern.indices)
         raise AssertionError("the pattern made from the present contact does not hold it")
 
@@ -232,8 +238,8 @@ class Newton:
                 return SolveStatus.MAX_ITERATIONS, iteration, residual, down > 0
             near = residual.imbalance < GEOMETRIC_BELOW
             chord = self.system.factored and size < CHORD_BELOW and size < CHORD_DROP * before
-            if not chord:
-                self.system.update(self.tangent(near))
+            if not chord or not self.system.fresh:
+                self.system.update(self.tangent(near, chord))
             before = size
             coupling = contact.remainder(self.x, self._equation, solids.unknowns) if near else None
             exact = iteration >= options.exact_after

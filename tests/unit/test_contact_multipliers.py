@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 from fem_fixtures import TOLERANCE, cap_press, cap_scene, flat_gel, problem_of, rigid_body
 
 from gelsim.errors import SolveStatus
@@ -62,3 +63,29 @@ def test_the_tangent_holds_what_a_multiplier_bears_far_from_the_object() -> None
     newton.residual(2.0)
     newton.tangent(True)
     assert int(contact.missing.numpy()[0]) == 0 and (contact.pressure.numpy()[far] > 0.0).all()
+
+
+def test_a_kept_tangent_is_of_the_present_contact_and_the_solids_before() -> None:
+    problem, _ = cap_press(cap_scene(100.0, 0.2, 2))
+    newton, solids = problem.newton, problem.solids
+
+    def of_solids() -> np.ndarray:
+        assert newton.pattern is not None
+        values = wp.zeros(len(newton.pattern.indices), dtype=wp.float64, device="cpu")
+        solids.add_tangent(newton.pattern.pairs, values)
+        return np.array(values.numpy())
+
+    newton.residual(2.0)
+    first, pattern = newton.tangent(True).copy(), newton.pattern
+    before = of_solids()
+    displacement, pressure = solids.state()
+    displacement[problem.object_nodes, 2] -= 0.05
+    displacement[problem.driven, 2] -= 2e-3
+    solids.set_state((displacement, pressure))
+    newton.residual(2.0)
+    kept, whole = newton.tangent(True, kept=True).copy(), newton.tangent(True).copy()
+    after = of_solids()
+    assert newton.pattern is pattern
+    scale = np.abs(whole).max()
+    assert np.abs(kept - whole - (before - after)).max() <= 1e-13 * scale
+    assert np.abs(before - after).max() > 1e-6 * scale and np.abs(kept - first).max() > 1e-6 * scale
