@@ -261,11 +261,9 @@ class SymmetricSystem:
     # |M⁻¹(b - K x)| / |M⁻¹ b| of a rough step, M being factors of an earlier K.
     FORCING = 0.03
     # Operations of a factorisation for each entry that a product and a solve read in its time. Factors are worn out once a step takes more
-    # products than steps with them do on average, their factorisation counted: from there on new ones cost less.
+    # products than steps with them do on average, their factorisation counted: from there on new ones cost less
+    # (`python docs/studies/rough_steps.py`).
     PER_ENTRY = 50.0
-    # Operations of a factorisation over the entries that a product and a solve read; where it is lower, new factors cost less than the
-    # products (`python docs/studies/rough_steps.py`).
-    CHEAP = 180.0
     # |b - Kx|/|b| that an answer in float32 may have: 1e-6 to 8e-6 over the stability suite. One matrix of its cone had 9e-5, and Newton
     # took another path from there.
     POOR = 1e-5
@@ -323,13 +321,12 @@ class SymmetricSystem:
 
         An `exact` one leads down, b·x > 0 in the `positive` unknowns, and changes none of them by more than `reach`, if shifts can do that.
 
-        New ones are made where there are none, where they are cheap, where the last step wore them out, where GMRES falls short, and where
-        `exact` asks for it.
+        New ones are made where there are none, where the last step wore them out, where GMRES falls short, and where `exact` asks for it.
         """
         went_down, self.downhill = self.downhill, False
         if self.fresh:
             return self.solve(b, coupling)
-        if self.factored and not self._worn and not exact and self.direct.cost > self.CHEAP:
+        if self.factored and not self._worn and not exact:
             self._rough += 1
             before, start = self.solves, self.direct.solve(b)
 
