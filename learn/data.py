@@ -50,6 +50,8 @@ class Press:
     gel: Gel = UNKNOWN_GEL
     scaled: bool = False
     """The pictures show `framing.FIELD_MM` around the contact; else their scale is not known."""
+    sensor: str = ""
+    """Its name in a dataset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +164,6 @@ def held_presses(part: Archive, inputs: InputConfig, repeat: bool, seed: int) ->
         recording = with_noise(part.recording(number), [seed, 3, row["index"]], inputs)
         press = choose(to_scale(recording, row.get("field_mm"), inputs), inputs, repeat)
         target, bounds, rank = label_of(row)
-        known = {"target": target, "bounds": bounds, "rank": rank, "gel": gel_of(row.get("gel"))}
+        known = {"target": target, "bounds": bounds, "rank": rank, "gel": gel_of(row.get("gel")), "sensor": row["sensor"]}
         found.append(None if press is None else replace(press, **known))
     return found

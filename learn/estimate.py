@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ def batches(presses: Sequence[Press], device: torch.device, batch: int = 32) -> 
 
 
 def estimate(network: Network, parts: Iterable[Batch]) -> Estimates:
-    """Estimates of presses in batches, at least one, in float32."""
+    """Estimates of presses in batches, at least one, in float32; their statistics are of the pictures alone, the gel not told."""
     means, spreads, statistics, losses = [], [], [], []
     was_training = network.training
     network.eval()
@@ -45,7 +45,8 @@ def estimate(network: Network, parts: Iterable[Batch]) -> Estimates:
             mean, spread = network.estimate(output, part.lengths)
             means.append(mean.double().cpu().numpy())
             spreads.append(np.full(len(mean), np.nan) if spread is None else spread.double().cpu().numpy())
-            statistics.append(press_statistics(part, output.features))
+            features = network(replace(part, gel=part.gel * torch.nan)).features if part.gel.isfinite().any() else output.features
+            statistics.append(press_statistics(part, features))
             losses.append(float(network.loss(output, part)) * len(mean))
     network.train(was_training)
     mean = np.concatenate(means)

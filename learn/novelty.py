@@ -4,12 +4,12 @@ The distance is Mahalanobis's, its threshold taken from held-out presses:
 
     d² = (f − μ)ᵀ Σ⁻¹ (f − μ) / F,     Σ = (1 − λ) S + λ diag(S)
 
-f are F numbers of a press: the network's own features at its last picture, and plain statistics of the pictures (colour and contrast of the
-no-contact frame and of the change, length), because features may forget what the pictures never varied in. μ and S are of training draws; λ
-keeps Σ regular when presses are few. d is about 1 for a press like those. A press is called unlike them when d exceeds MARGIN times what
-99 % of the validation presses stay below. After Lee et al. (NeurIPS 2018), with one class. It says nothing about presses that look alike
-and are not: pictures do not show how thick a gel is. Where the gel is known, its numbers are compared with those of the training presses,
-one by one.
+f are F numbers of a press: the network's own features at its last picture, the gel not told, and plain statistics of the pictures (colour
+and contrast of the no-contact frame and of the change, length), because features may forget what the pictures never varied in. μ and S are
+of training draws; λ keeps Σ regular when presses are few. d is about 1 for a press like those. A press is called unlike them when d exceeds
+what 99 % of the validation presses stay below, each by a fit without the sensor that saw it: another sensor is not unlike by itself. After
+Lee et al. (NeurIPS 2018), with one class. It says nothing about presses that look alike and are not: pictures do not show how thick a gel
+is. Where the gel is known, its numbers are compared with those of the training presses, one by one.
 """
 
 from __future__ import annotations
@@ -27,9 +27,6 @@ from learn.model import last_of
 
 SHRINKAGE = 0.1
 QUANTILE = 0.99
-MARGIN = 1.2
-"""Validation presses are of the simulator. Real ones that are read in the right order go up to 1.3 times their threshold, and pictures that
-are no press begin about there (docs/studies/no_presses.py)."""
 GEL_TOLD = (("thickness", "mm", 1), ("edge thickness", "mm", 1), ("hardness", "Shore 00", 0))
 """Of a `Gel`: what each number is called, its unit, and the decimals to which it is told and compared: a lab knows its own no better."""
 
@@ -53,7 +50,7 @@ class Novelty:
     whitening: torch.Tensor
     """W with WᵀW = Σ⁻¹ / F, shape (F, F)."""
     threshold: float
-    """Distance that QUANTILE of the validation presses stay below."""
+    """Distance that QUANTILE of presses of other sensors stay below."""
 
     def distance(self, statistics: torch.Tensor) -> torch.Tensor:
         """d of presses (B, F), shape (B,)."""
@@ -61,15 +58,34 @@ class Novelty:
 
     def strangeness(self, statistics: torch.Tensor) -> torch.Tensor:
         """d over the greatest that is not called unlike, shape (B,): above 1 a press is."""
-        return self.distance(statistics) / (MARGIN * self.threshold)
+        return self.distance(statistics) / self.threshold
 
     def to_plain(self) -> dict[str, Any]:
         return {"mean": self.mean, "whitening": self.whitening, "threshold": self.threshold}
 
 
-def fit_novelty(trained: torch.Tensor, held: torch.Tensor) -> Novelty:
-    """From statistics of training draws (N, F) and of held-out presses (M, F); without any of these the threshold is 2."""
-    centred = trained - trained.mean(dim=0)
+def fit_novelty(trained: torch.Tensor, held: torch.Tensor, seen_by: tuple[Sequence[str], Sequence[str]] = ((), ())) -> Novelty:
+    """From statistics of training draws (N, F) and of held-out presses (M, F); without any of these the threshold is 2.
+
+    Args:
+        seen_by: The sensors of both; where only one saw them, or none is told, all of them are fitted at once.
+    """
+    fitted = _fitted(trained)
+    if len(held) == 0:
+        return Novelty(*fitted, 2.0)
+    of_trained, of_held = map(np.array, seen_by)
+    distance = Novelty(*fitted, 1.0).distance(held)
+    if len(sensors := np.unique(of_trained)) > 1:
+        for sensor in sensors:
+            its = of_held == sensor
+            distance[its] = Novelty(*_fitted(trained[of_trained != sensor]), 1.0).distance(held[its])
+    return Novelty(*fitted, float(torch.quantile(distance, QUANTILE)))
+
+
+def _fitted(trained: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and whitening."""
+    mean = trained.mean(dim=0)
+    centred = trained - mean
     covariance = centred.T @ centred / max(len(trained) - 1, 1)
     diagonal = torch.diag(covariance.diagonal())
     shrunk = (1 - SHRINKAGE) * covariance + SHRINKAGE * diagonal
@@ -77,11 +93,7 @@ def fit_novelty(trained: torch.Tensor, held: torch.Tensor) -> Novelty:
     shrunk = shrunk + torch.diag(1e-3 * covariance.diagonal().mean().clamp_min(1e-12) * torch.ones(len(covariance), dtype=covariance.dtype))
     factor = torch.linalg.cholesky(shrunk)
     identity = torch.eye(len(factor), dtype=factor.dtype)
-    whitening = torch.linalg.solve_triangular(factor, identity, upper=False) / len(factor) ** 0.5
-    fitted = Novelty(trained.mean(dim=0), whitening, 2.0)
-    if len(held) == 0:
-        return fitted
-    return Novelty(fitted.mean, whitening, float(torch.quantile(fitted.distance(held), QUANTILE)))
+    return mean, torch.linalg.solve_triangular(factor, identity, upper=False) / len(factor) ** 0.5
 
 
 def novelty_from_plain(plain: object) -> Novelty | None:

@@ -88,6 +88,10 @@ class Stream:
             gel_of(part.rows[number].get("gel")) for part, members in zip(self._archives, self._touching, strict=True) for number in members
         ]
 
+    def sensors(self, positions: Sequence[int]) -> list[str]:
+        """Which sensor saw the press at each position."""
+        return [self._archives[pool].rows[number]["sensor"] for pool, number in map(self.member, positions)]
+
     def member(self, position: int) -> tuple[int, int]:
         """Archive, and number in it, of the press at a position."""
         ratio = self._config.train.real_ratio if len(self._archives) == 2 else 0.0

@@ -373,7 +373,8 @@ def _finish(out: Path, stream: Stream, held: list[Press], device: torch.device) 
         if known.any():
             report["validation_rmse"] = float(np.sqrt(((found.mean - target)[known] ** 2).mean()))
             report["validation_rmse_of_mean"] = float(np.sqrt(((target[known] - float(network.centre)) ** 2).mean()))
-    novelty, gels = fit_novelty(trained, statistics), gel_range(stream.gels())
+    seen_by = stream.sensors(range(start, last)), [press.sensor for press in held] * (len(statistics) // max(len(held), 1))
+    novelty, gels = fit_novelty(trained, statistics, seen_by), gel_range(stream.gels())
     best.novelty, best.gels = novelty.to_plain(), gels.to_plain() if gels else None
     checkpoints.save(out / "model.pt", best)
     return report | {"spread_factor": best.spread_factor, "novelty_threshold": novelty.threshold, "provenance": best.provenance}

@@ -66,7 +66,8 @@ def sources(
     """The presses of a path: the name of each, and what reads it, so that one that cannot be read does not end the others.
 
     Args:
-        background: A picture of the sensor that touches nothing; default: the first frame (episodes bring their own).
+        background: A picture of the sensor that touches nothing; episodes bring their own, a result of `gelsim render` begins with it, and
+            of others it is found (`learn.frames.find_press`).
         start, seconds: The part of a video that is the press [s].
         framing: What of a video's or a folder's pictures is the gel, and their scale; episodes know theirs.
     Raises:
@@ -79,7 +80,8 @@ def sources(
     elif path.suffix == ".tar":
         yield str(path), partial(_episode, path, str(path), inputs)
     elif path.is_dir():
-        yield str(path), lambda: _recorded(path, lambda: _folder(path), inputs, background, framing)
+        rest = background or _rest_of(path)
+        yield str(path), lambda: _recorded(path, lambda: _folder(path), inputs, rest, framing)
     elif path.is_file():
         yield str(path), lambda: _recorded(path, lambda: _video(path, start, seconds), inputs, background, framing)
     else:
@@ -167,6 +169,12 @@ def _folder(path: Path) -> Iterator[NDArray[np.uint8]]:
         raise LearnError(f"{path}: holds no pictures ({', '.join(PICTURES)}), no frames/ and no dataset")
     for file in files:
         yield _picture(file)
+
+
+def _rest_of(path: Path) -> Path | None:
+    """The gel untouched in a result of `gelsim render`: its first frame, though a flat object may leave a dome plainer than it was."""
+    first = path / "frames" / "0000.png"
+    return first if first.is_file() and (path / "scene.toml").is_file() else None
 
 
 def _picture(path: Path) -> NDArray[np.uint8]:

@@ -150,6 +150,17 @@ def test_a_film_that_begins_in_contact_is_read_as_one_from_rest(tiny_run: Path, 
     assert late["shore_00"] == whole["shore_00"] and "starts in contact" in late["note"] and "several" not in whole["note"]
 
 
+def test_a_render_begins_untouched_however_plain_its_contact(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    """A flat object leaves a dome plainer than it was: of pictures alone it is one that is let go."""
+    (tmp_path / "frames").mkdir()
+    for number, frame in enumerate(press[::-1]):
+        Image.fromarray(frame).save(tmp_path / "frames" / f"{number:04d}.png")
+    (bare,) = ask(tiny_run, tmp_path)
+    (tmp_path / "scene.toml").write_text(dump_scene(Scene()))
+    (rendered,) = ask(tiny_run, tmp_path)
+    assert bare["status"] == "unreadable" and "is let go" in in_words(bare) and rendered["status"] == "ok"
+
+
 def test_one_damaged_episode_does_not_end_a_dataset(tiny_run: Path, tmp_path: Path) -> None:
     data = fake_dataset(tmp_path / "data", seed=3, rigid=False)
     dataset = load_dataset(data)
@@ -246,6 +257,21 @@ def test_distance_is_one_for_presses_like_those(rng: np.random.Generator) -> Non
     # 99 % of 1,000 stay below: four standard deviations of such a share are 1.3 %.
     assert float((inside > fitted.threshold).double().mean()) <= 0.01 + 0.013
     assert float(fitted.distance(draw[:1] + 40)[0]) > fitted.threshold
+
+
+def test_presses_of_another_sensor_are_not_unlike_by_that(rng: np.random.Generator) -> None:
+    """Twenty sensors, each with a look of its own beside what presses vary by; twenty others."""
+    looks = rng.normal(scale=3.0, size=(40, 12))
+    of = rng.integers(20, size=3000)
+    draw = torch.from_numpy(looks[of] + rng.normal(size=(3000, 12)))
+    names = [str(number) for number in of]
+    fitted = fit_novelty(draw[:2000], draw[2000:], (names[:2000], names[2000:]))
+    others = fitted.distance(torch.from_numpy(looks[20 + rng.integers(20, size=1000)] + rng.normal(size=(1000, 12))))
+    # The threshold is the looks' of the farthest of twenty: of twenty others one may well be as far, hardly three.
+    assert float((others > fitted.threshold).double().mean()) <= 0.1
+    assert float((others > fit_novelty(draw[:2000], draw[2000:]).threshold).double().mean()) > 0.2
+    alone = fit_novelty(draw[:2000], draw[2000:], (["one"] * 2000, ["one"] * 1000))
+    assert alone.threshold == fit_novelty(draw[:2000], draw[2000:]).threshold
 
 
 # ---- the command line ----

@@ -19,7 +19,7 @@ from learn.estimate import batches, estimate
 from learn.predict import find_model, find_models, gel_of_sensor, predict
 from learn.recordings import record_episode
 
-ROW_RMSE = 3.2
+ROW_RMSE = 3.1
 """Of firm presses of trained shapes, novel hardness (docs/learner.md, *What is shipped, in numbers*)."""
 
 
@@ -35,13 +35,13 @@ def test_it_knows_the_gels_of_its_plan(name: str) -> None:
     """Its sensors' and presses', drawn again: some presses reach 00-12 and 20. One of plan `gap` is strange to it."""
     ensemble = Ensemble([find_model(name, "--model")], torch.device("cpu"))
     for plan, strange in (("varied", 0), ("gap", 40)):
-        catalogue = Catalogue(load_plan(plan), 1)
+        catalogue = Catalogue(load_plan(plan), 9)
         gels = [gel_of(gel_facts(catalogue.press(number).scene.gel)) for number in range(40)]
         assert sum(bool(ensemble.strange_gel(gel)) for gel in gels) == strange
     assert not ensemble.strange_gel(gel_of_sensor("fingertip2017")) and ensemble.strange_gel(gel_of_sensor("gelsight_mini"))
 
 
-@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 41.663, 44.029), ("varied", 53.887, 55.071)])
+@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 62.183, 63.501), ("varied", 55.239, 56.715)])
 def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, untold: float, told: float) -> None:
     """A made-up dent. In a thicker gel, or a softer one, the same picture means a softer object."""
     checkpoint = load(find_model(name, "--model"))
