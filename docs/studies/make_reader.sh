@@ -3,15 +3,16 @@
 #
 #     bash docs/studies/make_reader.sh OUT [SECONDS=1600]
 #
-# Presses of plan `varied` are made until 0.45 of the time, while the light fields of all sensors are measured; then they are drawn into a
-# cache. Then `paper2017` and `varied` are trained on, side by side, 40 times through them or as often as the time left allows (of 86 times
-# the 31st and the 25th were the best), while the other cores make test presses: paper2017's rows in equal shares, natural objects left out,
-# of two seeds with twelve sensors each, which every network reads, and both together. OUT/log tells where it is, OUT/runs has networks and
-# tables. Called again it goes on with what is there.
-# On two H200 with 32 cores: 4.8 presses a second, 25 videos drawn, 16 steps of 64 videos a network; 0.5 test presses on 20 cores.
+# Presses of plan `varied` are made until 0.34 of the time, while the light fields of all sensors are measured; then test presses:
+# paper2017's rows in equal shares, natural objects left out, of two seeds with twelve sensors each. What is trained on is drawn into a
+# cache. Then `paper2017` and `varied` are trained on, side by side, 40 times through it or as often as the time left allows (of 86 times
+# the 31st and the 25th were the best). Meanwhile rows of plan `gap` are made where a third GPU is, and the networks of before read the
+# tests; at last the new ones, each and both together. OUT/log tells where it is, OUT/runs has networks and tables. Called again it goes on
+# with what is there.
+# On two H200 with 32 cores: 4.8 presses a second, 25 videos drawn, 16 steps of 64 videos a network.
 # Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed), MOST (episodes), STEPS, DEVICE (cpu: a trial).
 set -u
-out=$(realpath -m "$1"); all=${2:-1600}; device=${DEVICE:-cuda}; seed=${SEED:-9}; test_seeds=${TEST_SEEDS:-61 62}; most=${MOST:-100000}
+out=$(realpath -m "$1"); all=${2:-1600}; device=${DEVICE:-cuda}; seed=${SEED:-10}; test_seeds=${TEST_SEEDS:-71 72}; most=${MOST:-100000}
 data=$out/data; cache=$out/cache; runs=$out/runs; rows=$out/rows.toml; mkdir -p "$out/log" "$data" "$runs"; SECONDS=0
 gpus=$([ "$device" = cuda ] && ls -d /dev/nvidia[0-9]* | wc -l || echo 0); cores=$(nproc); workers=$(( cores / 6 + 1 ))
 export OMP_NUM_THREADS=1
@@ -22,17 +23,19 @@ until_() { local left=$(( $1 * all / 100 - SECONDS )); timeout -k 30 -s INT $(( 
 export -f on; export gpus device
 
 [ "$gpus" = 0 ] || nvidia-cuda-mps-control -d || true
-python3 - "$rows" <<'END'
+python3 - "$out" <<'END'
 import sys, tomllib, tomli_w
 from gelsim.generate.plan import plan_path
 plan = tomllib.loads(plan_path("paper2017").read_text()) | {"name": "rows"}
 plan["sensors"]["count"] = 12
+gap = tomllib.loads(plan_path("gap").read_text()) | {"name": "gap_rows", "groups": plan["groups"]}
 shares = {"basic shapes": 0.54, "bad contact": 0.01, "robot": 0.11, "vessels": 0.11, "complicated shapes": 0.22, "natural objects": 0.01}
 for group in plan["groups"]:
     group["share"] = shares[group["name"]]
     for kind in group.get("kinds", []):
         kind["count"] = 65 if kind.get("split") == "novel_shape" else kind["count"]
-open(sys.argv[1], "wb").write(tomli_w.dumps(plan).encode())
+open(sys.argv[1] + "/rows.toml", "wb").write(tomli_w.dumps(plan).encode())
+open(sys.argv[1] + "/gap_rows.toml", "wb").write(tomli_w.dumps(gap).encode())
 END
 presses() {  # NAME PLAN SEED EPISODES UNTIL SETTINGS
     log "presses_$1" until_ "$5" python3 -m gelsim dataset --plan "$2" --seed "$3" --episodes "$4" --no-light --out "$data/$1" \
@@ -51,38 +54,45 @@ export -f field
     pool=${pool/,/ }
     python3 -c "from gelsim.generate.plan import load_plan; print(*range(load_plan('${pool% *}').sensors), sep='\n')" | sed "s|^|$pool |"
 done | xargs -P $(( 2 * gpus )) -L 1 bash -c 'field "$@"' _ >>"$out/log/fields" 2>&1 &
-presses varied varied "$seed" "$most" 45 --test-episodes 0 --device "$device"
+presses varied varied "$seed" "$most" 34 --test-episodes 0 --device "$device"
 wait; say "light fields measured"
+for s in $test_seeds; do
+    presses "tests_$s" "$rows" "$s" "${TESTS:-1080}" 43 --train-episodes 0 --device "$device" --workers $(( gpus ? cores : cores / 2 + 1 )) &
+done
+wait
 
-log pictures until_ 72 python3 -m learn.cli train --data "$data/varied" --picture 144,192 --widths 48,96,192,320 --cache "$cache" --steps 1 \
+log pictures until_ 58 python3 -m learn.cli train --data "$data/varied" --picture 144,192 --widths 48,96,192,320 --cache "$cache" --steps 1 \
     --batch 2 --warmup 0 --workers "$cores" --out "$runs/pictures" --force
 say "drawn"
 
 read_rows() {  # NAME GPU MODEL...
     local s models=(); for s in "${@:3}"; do models+=(--model "$s"); done
-    for s in $test_seeds; do
-        log "rows_$1" on "$2" python3 -m learn.cli eval "${models[@]}" --data "$data/tests_$s" --cache "$cache" --no-baselines \
-            --workers "$workers" --out "$runs/rows_$1_$s" --force
+    for s in "$data"/tests_* "$data/gap"; do
+        [ ! -d "$s" ] || log "rows_$1" on "$2" python3 -m learn.cli eval "${models[@]}" --data "$s" --cache "$cache" --no-baselines \
+            --workers "$workers" --out "$runs/rows_$1_${s##*/}" --force
     done
     say "rows of $1 read"
 }
-passes=$(( 40 * $(wc -l <"$data/varied/meta/episodes.jsonl") / 64 )); allowed=$(( (all * 90 / 100 - SECONDS - 75) * 12 ))
+passes=$(( 40 * $(wc -l <"$data/varied/meta/episodes.jsonl") / 64 )); allowed=$(( (all * 90 / 100 - SECONDS - 75) * 13 ))
 steps=${STEPS:-$(( passes < allowed ? passes : allowed ))}; say "trainings of $steps steps"
-train() {  # NAME GPU SETTINGS
-    log "train_$1" on "$2" until_ 92 python3 -m learn.cli train --data "$data/varied" --init "$1" --out "$runs/$1" --force --cache "$cache" \
+train() {  # NAME FROM GPU SETTINGS
+    log "train_$1" on "$3" until_ 92 python3 -m learn.cli train --data "$data/varied" --init "$2" --out "$runs/$1" --force --cache "$cache" \
         --batch "${BATCH:-64}" --rate 0.001 --warmup 150 --end-share 0.6 --drop 0.05 --gain 0.12 --gamma 0.1 --crop 0.08 --steps "$steps" \
-        --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers "$workers") "${@:3}"
+        --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers "$workers") "${@:4}"
     say "$1 trained"
 }
-train paper2017 0 & first=$!
-train varied 1 --seed 1 & second=$!
-for s in $test_seeds; do
-    CUDA_VISIBLE_DEVICES= presses "tests_$s" "$rows" "$s" "${TESTS:-1230}" 82 --train-episodes 0 --workers $(( cores - 2 * workers > 1 ? cores - 2 * workers : 1 ))
-done
-read_rows default_before 0 default
-wait $first $second
-read_rows paper2017 0 "$runs/paper2017/model.pt" & first=$!
-read_rows varied 1 "$runs/varied/model.pt" & second=$!
-wait $first $second
-read_rows default 0 "$runs/paper2017/model.pt" "$runs/varied/model.pt"
+train paper2017 paper2017 0 & trainings=($!)
+train varied varied 1 --seed 1 & trainings+=($!)
+# EXTRA
+if [ "$gpus" -gt 2 ]; then
+    log gap on 3 until_ 84 python3 -m gelsim dataset --plan "$out/gap_rows.toml" --seed 71 --episodes 480 --train-episodes 0 --device cuda \
+        --out "$data/gap" --workers $(( cores / 5 ))
+    say "gap: $(wc -l <"$data/gap/meta/episodes.jsonl") episodes"
+fi
+read_rows before 0 default
+wait "${trainings[@]}"
+read_rows paper2017 0 "$runs/paper2017/model.pt" & readings=($!)
+read_rows varied 1 "$runs/varied/model.pt" & readings+=($!)
+read_rows default 2 "$runs/paper2017/model.pt" "$runs/varied/model.pt"
+wait "${readings[@]}"
 say "done"
