@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ def batches(presses: Sequence[Press], device: torch.device, batch: int = 32) -> 
 
 
 def estimate(network: Network, parts: Iterable[Batch]) -> Estimates:
-    """Estimates of presses in batches, at least one, in float32; their statistics are of the pictures alone, the gel not told."""
+    """Estimates of presses in batches, at least one, in float32."""
     means, spreads, statistics, losses = [], [], [], []
     was_training = network.training
     network.eval()
@@ -45,8 +45,7 @@ def estimate(network: Network, parts: Iterable[Batch]) -> Estimates:
             mean, spread = network.estimate(output, part.lengths)
             means.append(mean.double().cpu().numpy())
             spreads.append(np.full(len(mean), np.nan) if spread is None else spread.double().cpu().numpy())
-            features = network(replace(part, gel=part.gel * torch.nan)).features if part.gel.isfinite().any() else output.features
-            statistics.append(press_statistics(part, features))
+            statistics.append(press_statistics(part, output.features))
             losses.append(float(network.loss(output, part)) * len(mean))
     network.train(was_training)
     mean = np.concatenate(means)

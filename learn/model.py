@@ -57,7 +57,7 @@ class Output:
     spread: torch.Tensor | None
     """Standard deviation [Shore 00], shape (B, T); None: the network knows none."""
     features: torch.Tensor
-    """Of the last picture of each press, shape (B, F): where novelty is measured."""
+    """Of the last picture of each press, shape (B, F), the gel not told but in training: where novelty is measured."""
 
 
 class Residual(nn.Module):
@@ -129,16 +129,25 @@ class PressNet(nn.Module):
             x = torch.cat([x, torch.log1p(batch.signal / FAINT_LEVELS)[..., None]], dim=-1)
         if self.config.show_shape:
             x = torch.cat([x, shape_of(batch.pictures - batch.background[:, None])], dim=-1)
-        if self.config.show_gel:
-            x = torch.cat([x, gel_input(batch.gel)[:, None].expand(-1, steps, -1)], dim=-1)
-        if self.config.show_scale:
-            x = torch.cat([x, batch.scaled.to(x.dtype)[:, None, None].expand(-1, steps, 1)], dim=-1)
+        hidden = self._remembered(x, batch.gel, batch.scaled)
         with torch.autocast(x.device.type, enabled=False):
-            hidden, _ = self.lstm(functional.silu(self.embed(x)))
             said = self.head(hidden)
             mean = self.centre + self.scale * said[..., 0]
             spread = (self.scale * functional.softplus(said[..., 1])).clamp(*SPREADS) if self.config.spread else None
-        return Output(mean, spread, last_of(hidden, batch.lengths))
+        same = self.training or not self.config.show_gel
+        blind = hidden if same else self._remembered(x, torch.full_like(batch.gel, torch.nan), batch.scaled)
+        return Output(mean, spread, last_of(blind, batch.lengths))
+
+    def _remembered(self, x: torch.Tensor, gel: torch.Tensor, scaled: torch.Tensor) -> torch.Tensor:
+        """What the LSTM holds after each picture, shape (B, T, hidden), from x of what it sees."""
+        steps = x.shape[1]
+        if self.config.show_gel:
+            x = torch.cat([x, gel_input(gel)[:, None].expand(-1, steps, -1)], dim=-1)
+        if self.config.show_scale:
+            x = torch.cat([x, scaled.to(x.dtype)[:, None, None].expand(-1, steps, 1)], dim=-1)
+        with torch.autocast(x.device.type, enabled=False):
+            hidden, _ = self.lstm(functional.silu(self.embed(x)))
+        return hidden
 
     def estimate(self, output: Output, lengths: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Mean and spread of each press, shape (B,)."""

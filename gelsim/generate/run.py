@@ -39,10 +39,9 @@ NUMERICAL = (
     "NONFINITE",
     "NO_MOTION",
     "SceneError",
-    "MeshingError",
     "SolveError",
 )
-"""Failures that would come again; others (DIED, TIMEOUT) are tried again by --resume."""
+"""Failures that would come again; others (DIED, TIMEOUT, MeshingError, as the mesher draws other numbers) are tried again by --resume."""
 DEVICES = ("cpu", "cuda")
 """That solve and draw."""
 PER_CORE, PER_GPU = 2, 40
