@@ -2,7 +2,8 @@
 
     format, config, step, network (weights), optimizer, averaged (weights), best (validation loss), spread_factor, novelty, gels, provenance
 
-`last.pt` holds all of it and is what --resume goes on from; `model.pt` has no optimizer and is what eval and predict read.
+`last.pt` holds all of it and is what --resume goes on from; `model.pt` has no optimizer, weights in half precision, and is what eval and
+predict read. Half precision moves a weight by at most 2⁻¹¹ of itself, a reading by some 0.01 Shore, and halves the file.
 """
 
 from __future__ import annotations
@@ -65,9 +66,15 @@ def _kind(value: Any) -> str:
     return f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, torch.Tensor) else type(value).__name__
 
 
+def _is_half(value: Any) -> bool:
+    return isinstance(value, torch.Tensor) and value.dtype == torch.float16
+
+
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Raises OSError."""
     content = {name: getattr(checkpoint, name) for name in checkpoint.__dataclass_fields__}
+    if checkpoint.optimizer is None:  # numbers alone, as the hardness trained on, stay as they are
+        content["network"] = {name: value.half() if value.ndim else value for name, value in checkpoint.network.items()}
     with whole_file(path) as partial:
         torch.save({"format": FORMAT, **content, "config": to_plain(checkpoint.config)}, partial)
 
@@ -91,4 +98,5 @@ def load(path: Path) -> Checkpoint:
         raise LearnError(f"{path}: {error}") from None
     names = [name for name in Checkpoint.__dataclass_fields__ if name != "config"]
     parts: dict[str, Any] = {name: found.get(name) for name in names}
+    parts["network"] = {name: value.float() if _is_half(value) else value for name, value in parts["network"].items()}
     return Checkpoint(config, **parts)

@@ -109,7 +109,7 @@ def _parser() -> Parser:
     predict.add_argument(
         "--model", action="append", metavar="CKPT",
         help="a checkpoint, or the name of a shipped one; given more than once, they read as one (default: default, which is "
-        "paper2017 and varied)",
+        "paper2017, varied and families)",
     )  # fmt: skip
     predict.add_argument("videos", nargs="+", type=Path, metavar="VIDEO", help="a video, a folder of frames, an episode's tar, a dataset")
     predict.add_argument("--background", type=Path, metavar="FILE", help="a picture without contact (default: the first frame)")

@@ -20,7 +20,7 @@ from learn.estimate import pick_device
 from learn.framing import FIELD_MM, Framing
 from learn.video import AS_IT_IS, Source, sources
 
-SHIPPED = {"default": ("paper2017", "varied")}
+SHIPPED = {"default": ("paper2017", "varied", "families")}
 """Names that stand for several of the checkpoints in assets/models/, which read together."""
 
 GEL_UNTOLD = "the gel is not known (--sensor tells it)"

@@ -32,7 +32,7 @@ def rmse(true: Array, estimate: Array) -> float:
 def r_squared(true: Array, estimate: Array) -> float:
     """NaN where all presses have one hardness."""
     total = ((true - true.mean()) ** 2).sum()
-    return float(1 - ((true - estimate) ** 2).sum() / total) if total > 0 else float("nan")
+    return float(1 - ((true - estimate) ** 2).sum() / total) if np.ptp(true) else float("nan")
 
 
 def bootstrap(true: Array, estimate: Array, objects: Sequence[str], seed: int = 0) -> dict[str, list[float]]:

@@ -5,11 +5,11 @@
 #
 # Presses of plan `varied` are made until 0.34 of the time, while the light fields of all sensors are measured; then test presses:
 # paper2017's rows in equal shares, natural objects left out, of two seeds with twelve sensors each. What is trained on is drawn into a
-# cache. Then `paper2017` and `varied` are trained on, side by side, 40 times through it or as often as the time left allows (of 86 times
-# the 31st and the 25th were the best). Meanwhile rows of plan `gap` are made where a third GPU is, and the networks of before read the
-# tests; at last the new ones, each and both together. OUT/log tells where it is, OUT/runs has networks and tables. Called again it goes on
-# with what is there.
-# On two H200 with 32 cores: 4.8 presses a second, 25 videos drawn, 16 steps of 64 videos a network.
+# cache. Then `paper2017`, `varied` and, with the pictures changed more, `families` are trained on, side by side, 40 times through it or as
+# often as the time left allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where a third GPU is, and the networks of before read the
+# tests; at last the new ones, each and all together, and what counts as unlike is read from `gap`. OUT/log tells where it is, OUT/runs has
+# networks and tables. Called again it goes on with what is there.
+# On four H200 with 64 cores: 5.2 presses a second, 35 videos drawn, 13 steps of 64 videos (`families` 7).
 # Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed), MOST (episodes), STEPS, DEVICE (cpu: a trial).
 set -u
 out=$(realpath -m "$1"); all=${2:-1600}; device=${DEVICE:-cuda}; seed=${SEED:-10}; test_seeds=${TEST_SEEDS:-71 72}; most=${MOST:-100000}
@@ -83,7 +83,8 @@ train() {  # NAME FROM GPU SETTINGS
 }
 train paper2017 paper2017 0 & trainings=($!)
 train varied varied 1 --seed 1 & trainings+=($!)
-# EXTRA
+train families families 2 --seed 2 --end-share 0.5 --drop 0.1 --gain 0.25 --gamma 0.25 --turn-deg 15 --mix 0.6 --shade 0.5 --border 0.1 \
+    --dirt 0.2 --texture 0.4 --codec-levels 12 --late 0.1 --hide-gel 0.4 & trainings+=($!)
 if [ "$gpus" -gt 2 ]; then
     log gap on 3 until_ 84 python3 -m gelsim dataset --plan "$out/gap_rows.toml" --seed 71 --episodes 480 --train-episodes 0 --device cuda \
         --out "$data/gap" --workers $(( cores / 5 ))
@@ -91,8 +92,13 @@ if [ "$gpus" -gt 2 ]; then
 fi
 read_rows before 0 default
 wait "${trainings[@]}"
-read_rows paper2017 0 "$runs/paper2017/model.pt" & readings=($!)
-read_rows varied 1 "$runs/varied/model.pt" & readings+=($!)
-read_rows default 2 "$runs/paper2017/model.pt" "$runs/varied/model.pt"
+networks=(paper2017 varied families); readings=()
+for i in 0 1 2; do
+    read_rows "${networks[i]}" "$i" "$runs/${networks[i]}/model.pt" & readings+=($!)
+done
+read_rows default 3 $(printf "$runs/%s/model.pt " "${networks[@]}")
 wait "${readings[@]}"
+for name in "${networks[@]}"; do
+    [ ! -d "$data/gap" ] || log thresholds python3 docs/studies/novelty_threshold.py "$runs/$name/model.pt" "$runs/rows_${name}_gap/predictions.csv"
+done
 say "done"

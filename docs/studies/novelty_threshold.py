@@ -1,9 +1,10 @@
-"""From which distance on is a press unlike the training? Of networks that were trained before `learn.novelty` left sensors out.
+"""From which distance on is a press unlike the training? By sensors outside its ranges.
 
-    python docs/studies/novelty_threshold.py RUNS/paper2017/model.pt RUNS/rows_paper2017_61/predictions.csv [...]
+    python docs/studies/novelty_threshold.py RUNS/paper2017/model.pt RUNS/rows_paper2017_gap/predictions.csv [...]
 
-The tables are `gelsim-learn eval --model` of that network alone, on sensors that it was not trained on. Writes the distance that 99 % of
-their presses stay below into the checkpoint; everything else in it stays as it is.
+The tables are `gelsim-learn eval --model` of that network alone on plan `gap`: a training's own threshold comes from sensors of its plan,
+and a real one is no more like these than `gap`'s are. Writes the distance that 99 % of their presses stay below into the checkpoint;
+everything else in it stays as it is.
 """
 
 from __future__ import annotations

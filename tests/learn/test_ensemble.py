@@ -34,7 +34,7 @@ def second(tiny_run: Path, tmp_path: Path) -> Path:
     """The same network but for a mean 12 points higher, twice the spread by its factor, and everything strange."""
     kept = checkpoint.load(tiny_run / "model.pt")
     network = {name: tensor.clone() for name, tensor in kept.network.items()}
-    network["head.bias"][0] += 12 / float(network["scale"])
+    network["centre"] += 12
     assert kept.novelty is not None
     strange = kept.novelty | {"threshold": kept.novelty["threshold"] / 100}
     checkpoint.save(

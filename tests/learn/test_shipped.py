@@ -16,32 +16,32 @@ from learn.checkpoint import load
 from learn.data import UNKNOWN_GEL, Gel, Press, choose, gel_of
 from learn.ensemble import Ensemble
 from learn.estimate import batches, estimate
-from learn.predict import find_model, find_models, gel_of_sensor, predict
+from learn.predict import SHIPPED, find_model, find_models, gel_of_sensor, predict
 from learn.recordings import record_episode
 
-ROW_RMSE = 3.1
-"""Of firm presses of trained shapes, novel hardness (docs/learner.md, *What is shipped, in numbers*)."""
+ROW_RMSE = 3.4
+"""Of firm presses of trained shapes, novel hardness, both seeds (docs/learner.md, *What is shipped, in numbers*)."""
 
 
-@pytest.mark.parametrize("name", ["paper2017", "varied"])
+@pytest.mark.parametrize("name", SHIPPED["default"])
 def test_it_is_small_and_says_what_it_was_trained_on(name: str) -> None:
     checkpoint = load(find_model(name, "--model"))
     assert checkpoint.provenance["data"][0]["domain"] == "sim" and checkpoint.novelty is not None and checkpoint.spread_factor > 1
     assert sum(path.stat().st_size for path in find_model(name, "--model").parent.glob("*.pt")) < 20e6
 
 
-@pytest.mark.parametrize("name", ["paper2017", "varied"])
+@pytest.mark.parametrize("name", SHIPPED["default"])
 def test_it_knows_the_gels_of_its_plan(name: str) -> None:
     """Its sensors' and presses', drawn again: some presses reach 00-12 and 20. One of plan `gap` is strange to it."""
     ensemble = Ensemble([find_model(name, "--model")], torch.device("cpu"))
     for plan, strange in (("varied", 0), ("gap", 40)):
-        catalogue = Catalogue(load_plan(plan), 9)
+        catalogue = Catalogue(load_plan(plan), 10)
         gels = [gel_of(gel_facts(catalogue.press(number).scene.gel)) for number in range(40)]
         assert sum(bool(ensemble.strange_gel(gel)) for gel in gels) == strange
     assert not ensemble.strange_gel(gel_of_sensor("fingertip2017")) and ensemble.strange_gel(gel_of_sensor("gelsight_mini"))
 
 
-@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 62.183, 63.501), ("varied", 55.239, 56.715)])
+@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 35.892, 37.845), ("varied", 48.136, 49.371), ("families", 47.722, 48.009)])
 def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, untold: float, told: float) -> None:
     """A made-up dent. In a thicker gel, or a softer one, the same picture means a softer object."""
     checkpoint = load(find_model(name, "--model"))
@@ -64,7 +64,7 @@ def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, unt
     assert read((2.8, 1.0, 17.0)) + 2 < read((2.4, 1.0, 17.0)) < read((2.4, 1.0, 20.0)) - 1
 
 
-@pytest.mark.parametrize("name", ["paper2017", "varied"])
+@pytest.mark.parametrize("name", SHIPPED["default"])
 def test_it_heeds_the_gel_of_a_press(name: str) -> None:
     """A simulated press of a ball of Shore 00-40, in a gel of 2.4 mm and 00-17 in truth: in a thicker gel, or a softer one, the same
     pictures mean a softer object."""

@@ -244,7 +244,7 @@ def test_fine_tuning_begins_from_a_shipped_network_by_name(
     monkeypatch.setattr("learn.train.train", lambda *_, begin, **__: given.append(begin.init))
     arguments = ["train", "--data", str(fake_data), "--out", str(tmp_path / "tuned"), "--init"]
     assert cli.main([*arguments, "varied"]) == 0 and given == [find_model("varied", "--init")]
-    for name, words in (("defualt", "no such file"), ("default", "stands for 2 networks; name one: paper2017, varied")):
+    for name, words in (("defualt", "no such file"), ("default", "stands for 3 networks; name one: paper2017, varied, families")):
         assert cli.main([*arguments, name]) == 2
         told = capsys.readouterr().err
         assert f"--init {name}" in told and words in told and len(given) == 1
@@ -321,7 +321,7 @@ def test_damaged_and_foreign_checkpoints_are_refused(tiny_run: Path, tmp_path: P
     refused("model = 'huge'", config=good["config"] | {"model": good["config"]["model"] | {"model": "huge"}})
     refused("section 'train'", config=good["config"] | {"train": {}})
     refused("wants", network=good["network"] | {"head.bias": torch.zeros(3)})
-    refused("of torch.float16, the config wants", network={name: tensor.half() for name, tensor in good["network"].items()})
+    refused("of torch.float64, the config wants", network={name: tensor.double() for name, tensor in good["network"].items()})
     refused("wants None", network=good["network"] | {"extra": torch.zeros(3)})
     (tmp_path / "half.pt").write_bytes((tiny_run / "model.pt").read_bytes()[:5000])
     with pytest.raises(LearnError, match="was not loaded"):
