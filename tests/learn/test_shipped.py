@@ -41,7 +41,9 @@ def test_it_knows_the_gels_of_its_plan(name: str) -> None:
     assert not ensemble.strange_gel(gel_of_sensor("fingertip2017")) and ensemble.strange_gel(gel_of_sensor("gelsight_mini"))
 
 
-@pytest.mark.parametrize(("name", "untold", "told"), [("paper2017", 35.892, 37.845), ("varied", 48.136, 49.371), ("families", 47.722, 48.009)])
+@pytest.mark.parametrize(
+    ("name", "untold", "told"), [("paper2017", 35.892, 37.845), ("varied", 48.136, 49.371), ("families", 47.722, 48.009)]
+)
 def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, untold: float, told: float) -> None:
     """A made-up dent. In a thicker gel, or a softer one, the same picture means a softer object."""
     checkpoint = load(find_model(name, "--model"))
