@@ -17,8 +17,8 @@ from gelsim.shape.rims import rims_on_gel
 SHARP_POINTS = 12
 """Quadrature points on a face where sharp edges of a rigid object touch meshes that resolve them. Between six a face lets an edge through:
 at `balanced` a star and a prism overlap by 62 and 25 µm in 185 and 56 iterations, with twelve by 19 and 19 in 50 and 44, for the same
-force. The long faces of `fast` can do no better: there presses with twelve are 3 to 7 % stiffer. Soft edges overlap by 11 µm, with twelve by
-8, in a sixth more iterations."""
+force. The long faces of `fast` can do no better: there presses with twelve are 3 to 7 % stiffer. Soft edges overlap by 11 µm, with twelve
+by 8, in a sixth more iterations."""
 
 
 @dataclass(frozen=True)
