@@ -128,7 +128,7 @@ class Deformation:
     min_jacobian: NDArray[np.float64]
     """Smallest det F over all quadrature points, shape (N,); NaN without finite elements."""
     penetration: NDArray[np.float64]
-    """Largest overlap of the two surfaces [m], shape (N,)."""
+    """Largest overlap of the two surfaces [m], anywhere on the gel's faces, shape (N,)."""
     newton_iterations: NDArray[np.int32]
     linear_iterations: NDArray[np.int32]
     seconds: NDArray[np.float64]

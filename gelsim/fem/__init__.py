@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
@@ -64,9 +65,9 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`strategy.WAYS`); the one that got furthest is returned.
 
-    The second try goes on from where the first stands, with twice the contact points and volume held at points too; where that does not
-    get there soon, the third begins so at rest. Its report says so. More points see more of
-    how a soft edge bends between them; on smooth bodies they cost time and change little. Volume held at points keeps crushed tets from
+    The second try goes on from where the first stands, with twelve contact points a face and volume held at points too; where that does not
+    get there soon, the third begins so at rest. Its report says so. More points see more of how an edge bends between them
+    (`strategy.contact_points`); on smooth bodies they cost time and change little. Volume held at points keeps crushed tets from
     folding, and makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 
     Args:
@@ -80,10 +81,10 @@ def solve_press(
     quiet_warp()
     from gelsim.fem.batch import run_batch
     from gelsim.fem.quasistatic import run_press
-    from gelsim.fem.strategy import tries
+    from gelsim.fem.strategy import contact_points, tries
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    marching = tries(enough)
+    marching = tries(enough, contact_points(scene))
     way, course = next(marching)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
@@ -140,10 +141,10 @@ def solve_batch(
     """
     quiet_warp()
     from gelsim.fem.batch import run_batch
-    from gelsim.fem.strategy import tries
+    from gelsim.fem.strategy import contact_points, tries
 
     done: dict[int, Deformation] = {}
-    marching = [tries() for _ in bodies]
+    marching = [tries(points=contact_points(scene)) for scene, *_ in bodies]
     asked = {number: next(one) for number, one in enumerate(marching)}
     while asked:
         groups: dict[Try, dict[int, Course]] = {}
@@ -191,10 +192,10 @@ def differentiate_press(
     """
     quiet_warp()
     from gelsim.fem.sensitivity import press_sensitivity
-    from gelsim.fem.strategy import PLAIN
+    from gelsim.fem.strategy import PLAIN, contact_points
     from gelsim.scene.materials import press_materials
 
-    problem = _problem(PLAIN, scene, gel, body, placement, "cpu", patient=True)
+    problem = _problem(replace(PLAIN, contact_points=contact_points(scene)), scene, gel, body, placement, "cpu", patient=True)
     return press_sensitivity(problem, [m.youngs_modulus * 1e-3 for m in press_materials(scene)], list(zip(nodes, shares, strict=True)))
 
 

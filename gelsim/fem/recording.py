@@ -59,7 +59,7 @@ class Recorder:
         numbers = {
             "contact_area": area,
             "min_jacobian": problem.solids.internal_force()[2],
-            "penetration": max(0.0, -float(problem.contact.gap.numpy().min())) / MM_PER_M,
+            "penetration": problem.contact.overlap(problem.solids.positions()) / MM_PER_M,
             "newton_iterations": newton_iterations,
             "linear_iterations": factorisations,
             "seconds": now - self._clock,

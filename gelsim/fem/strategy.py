@@ -11,6 +11,14 @@ from dataclasses import dataclass, replace
 from gelsim.errors import SolveStatus
 from gelsim.fem.quasistatic import SOON, Course
 from gelsim.results import Deformation
+from gelsim.scene.definition import Scene
+from gelsim.shape.rims import rims_on_gel
+
+SHARP_POINTS = 12
+"""Quadrature points on a face where sharp edges of a rigid object touch meshes that resolve them. Between six a face lets an edge through:
+at `balanced` a star and a prism overlap by 62 and 25 µm in 185 and 56 iterations, with twelve by 19 and 19 in 50 and 44, for the same
+force. The long faces of `fast` can do no better: there presses with twelve are 3 to 7 % stiffer. Soft edges overlap by 11 µm, with twelve
+by 8, in a sixth more iterations."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +40,21 @@ WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_waste
 """The tries that a press may have, one after the other until one reaches its end."""
 
 
-def tries(enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
+def contact_points(scene: Scene) -> int:
+    """Quadrature points on a face of the gel with which a press is tried first."""
+    sharp = scene.object.rigid and scene.fidelity != "fast" and len(rims_on_gel(scene)) > 0
+    return SHARP_POINTS if sharp else PLAIN.contact_points
+
+
+def tries(
+    enough: Callable[[Deformation], bool] | None = None, points: int = PLAIN.contact_points
+) -> Generator[tuple[Try, Course], Deformation, Deformation]:
     """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
 
-    Where the approach of a force was found in several tries, all begin again to record the way there.
+    Where the approach of a force was found in several tries, all begin again to record the way there. `points`: `contact_points`.
     """
-    course, best, number, left, turns = Course(), None, 0, list(WAYS), []
+    ways = [replace(way, contact_points=max(way.contact_points, points)) for way in WAYS]
+    course, best, number, left, turns = Course(), None, 0, ways, []
     while left:
         way, *left = left
         if not way.goes_on:
@@ -51,7 +68,7 @@ def tries(enough: Callable[[Deformation], bool] | None = None) -> Generator[tupl
         press = yield way, course
         press = _reported(press, turns, number)
         if course.searched:
-            course.searched, left, best = False, list(WAYS), None
+            course.searched, left, best = False, ways, None
             continue
         best = further(best, press)
         if not press.lost:
@@ -71,7 +88,7 @@ def _reported(press: Deformation, turns: Sequence[tuple[Try, float]], number: in
     # those after a try with held volume have it too
     since = next((f" from {start:.4g} mm on" if start else "" for turn, start in turns if turn.held > 0.0), "")
     if way.held > 0.0:
-        told = f"with twice the contact points, and volume held at points{since}, which makes tets stiffer"
+        told = f"with {way.contact_points} contact points a face, and volume held at points{since}, which makes tets stiffer"
         press = press.warned(f"did not reach its end at first: solved {told}")
     return press
 

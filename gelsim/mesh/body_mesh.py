@@ -48,7 +48,7 @@ from gelsim.geometry import (
     unfolded,
     winding_numbers,
 )
-from gelsim.mesh.contact_area import contact_field, core, cut_pieces, edge_in_contact, footprint
+from gelsim.mesh.contact_area import contact_field, core, edge_in_contact, footprint
 from gelsim.mesh.inclusions import Inclusion, inclusions
 from gelsim.mesh.sizing import LONGER, SIZES, MeshSizes, SizeField, class_above, object_edge
 from gelsim.scene.definition import Body, Scene
@@ -56,6 +56,7 @@ from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import compare_bodies
 from gelsim.shape.orientation import is_reoriented
 from gelsim.shape.outlines import bore, wall
+from gelsim.shape.rims import cut_pieces
 from gelsim.shape.shapes import object_surface, of_file, own_frame, press_depth, shape_symmetry, sharp_edges, solid
 from gelsim.shape.solids import Array, Solid, Sweep, classify, membership, patch_distances, snap, solid_surface, zero_cuts
 from gelsim.units import MM

@@ -31,11 +31,12 @@ from gelsim.geometry import (
     unfolded,
 )
 from gelsim.mesh.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine
-from gelsim.mesh.contact_area import contact_field, core, edge_in_contact, footprint, rims_on_gel
+from gelsim.mesh.contact_area import contact_field, core, edge_in_contact, footprint
 from gelsim.mesh.rim_edges import lay_edges
 from gelsim.mesh.sizing import SIZES, Footprint, MeshSizes, SizeField
 from gelsim.scene.definition import Body, Gel, Scene
 from gelsim.shape.outlines import edge_radius
+from gelsim.shape.rims import rims_on_gel
 from gelsim.shape.shapes import gel_height
 from gelsim.shape.solids import Array
 from gelsim.units import MM
@@ -68,6 +69,8 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     sizes, area = SIZES[scene.fidelity], _unmirrored(footprint(scene), rims)
     if scene.fidelity != "fast":
         sizes = replace(sizes, rim=_rim(scene.object, sizes) / LONGER_ACROSS)
+    # a soft edge gives way, and is met as well without parallels; at `fast` they would be nearer than faces are long
+    beside = sizes.rim if scene.object.rigid and scene.fidelity != "fast" else 0.0
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
     fine = FINE_DEPTH * min(thickness, *area.high)
     edge = edge_in_contact(scene, area)
@@ -77,7 +80,7 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     low, high = np.array([-left, -near, -thickness]), np.array([x, y, 0.0])
     pieces = _folded_rims(rims, area)
     for share in _FOLDED:
-        vertices, tets = _block(low, high, replace(field, far=share * field.far), area.stretch, pieces)
+        vertices, tets = _block(low, high, replace(field, far=share * field.far), area.stretch, pieces, beside)
         mesh = _ten_node(low, high, vertices, tets, area)
         # The pad of a file is its own mirror image in no plane.
         mesh = _domed(scene.gel, _whole(mesh, area, symmetry) if scene.gel.profile == "mesh" else mesh)
@@ -127,8 +130,8 @@ def _folded_rims(rims: Array, area: Footprint) -> Array:
     return pieces[np.sort(first)]
 
 
-def _block(low: Array, high: Array, field: SizeField, stretch: float, pieces: Array) -> tuple[Array, Tets]:
-    """Vertices and tets of a box from `low` to `high`, edges of its top along `pieces`."""
+def _block(low: Array, high: Array, field: SizeField, stretch: float, pieces: Array, beside: float) -> tuple[Array, Tets]:
+    """Vertices and tets of a box from `low` to `high`, edges of its top along `pieces` and, at a distance, `beside` them."""
     squeeze = np.array([1.0, 1.0 / stretch, 1.0])
     narrow = field.squeezed(stretch)
     cells = cells_across((high - low) * squeeze)
@@ -146,7 +149,7 @@ def _block(low: Array, high: Array, field: SizeField, stretch: float, pieces: Ar
         return np.sqrt(0.5 * (across**2).sum(axis=2).max(axis=1)) > LONGER_ACROSS * narrow(at)[local].min(axis=1)
 
     points, tets = refine(*kuhn_box(cells), too_large)
-    return lay_edges(place(points), tets, pieces, squeeze)
+    return lay_edges(place(points), tets, pieces, squeeze, beside)
 
 
 def _ten_node(low: Array, high: Array, vertices: Array, tets: Tets, area: Footprint) -> TetMesh:

@@ -1,7 +1,10 @@
-"""Edges of a mesh's flat top laid along lines in it, so that no face straddles them.
+"""Edges of a mesh's flat top laid along lines in it, so that no face straddles them, and beside these.
 
 A vertex close to where a line crosses one of its edges is moved onto the line, edges that a line still crosses are cut there, as in
 isosurface stuffing (Labelle and Shewchuk 2007). What would leave a tet of low quality is not done: there a face straddles the line.
+
+A pressed gel is drawn along under a rim, whose line it leaves by then, and where faces lie as the bisection left them some are long across
+the rim, others short: so edges are cut along parallels of the lines too, and a strip of short faces goes along at either side.
 
 Left out: lines closer to each other, or to the border, than the edges are long.
 """
@@ -17,28 +20,57 @@ from gelsim.shape.solids import Array
 
 NEAR = 0.3
 """Share of an edge within which a crossing moves its end; farther from both ends it cuts the edge."""
+NEAR_BESIDE = 0.15
+"""The same for a parallel, where no end is moved: with 0.3 the membrane wavers by 2.6 µm along the worst oblique edge, with 0.15 by 2.1."""
 LEAST = 0.2
 """Mean-ratio quality below which no tet is brought by a move or a cut."""
 _CORNER = np.radians(40.0)
 """Turn of a line that is a corner, to which a vertex is moved; a circle of 0.5 mm cut within 10 µm turns by 23 degrees."""
 _ROUNDS = 30
+ALONGSIDE = 0.05
+"""How much nearer to a line than asked its parallels may be, as a share: by 0.02 they are inside a circle that is cut as above."""
 
 
-def lay_edges(vertices: Array, tets: Tets, pieces: Array, squeeze: Array) -> tuple[Array, Tets]:
+def lay_edges(vertices: Array, tets: Tets, pieces: Array, squeeze: Array, beside: float = 0.0) -> tuple[Array, Tets]:
     """The mesh with edges of its top along straight pieces (K, 2, 2) of lines in it; its hull stays.
 
     Args:
         vertices: (V, 3) of a box, its sides upright, its top flat.
         squeeze: Factors (3,) under which the quality of tets is seen.
+        beside: Distance of the parallels, one at either side, along which there are edges too; 0 for none.
     """
     if not len(pieces):
         return vertices, tets
     vertices = _moved(vertices, tets, pieces, squeeze)
+    vertices, tets = _cut_along(vertices, tets, pieces, NEAR, squeeze)
+    return _cut_along(vertices, tets, _parallels(pieces, beside), NEAR_BESIDE, squeeze) if beside else (vertices, tets)
+
+
+def _parallels(pieces: Array, away: float) -> Array:
+    """Short pieces (L, 2, 2) at a distance from the lines, without those that are nearer to another part of them."""
+    from scipy.spatial import KDTree
+
+    along = pieces[:, 1] - pieces[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    parts = int(np.ceil(2.0 * length.max() / away))
+    points = pieces[:, :1] + np.linspace(0.0, 1.0, 2 * parts + 1)[:, None] * along[:, None]  # ends and middles of the short pieces
+    ends = np.stack([points[:, :-2:2], points[:, 2::2]], axis=2).reshape(-1, 2, 2)
+    across = (away / np.maximum(length, 1e-300))[:, None] * along[:, ::-1] * [-1.0, 1.0]
+    across = np.repeat(across, parts, axis=0)[:, None]
+    lines = np.concatenate([ends + across, ends - across])
+    nearest = KDTree(points.reshape(-1, 2)).query(lines.mean(axis=1))[0]
+    return lines[nearest > (1.0 - ALONGSIDE) * away]
+
+
+def _cut_along(vertices: Array, tets: Tets, pieces: Array, near: float, squeeze: Array) -> tuple[Array, Tets]:
+    """The mesh with the edges of its top cut where pieces cross them, but not `near` an end (a share), nor where that leaves poor tets."""
     refused: set[tuple[int, int]] = set()
+    if not len(pieces):
+        return vertices, tets
     for _ in range(_ROUNDS):
         edges = _top_edges(vertices, tets)
         edge, share = _crossings(vertices[edges, :2], pieces)
-        inner = (share > NEAR) & (share < 1.0 - NEAR)
+        inner = (share > near) & (share < 1.0 - near)
         edge, first = np.unique(edge[inner], return_index=True)
         share, ends = share[inner][first], edges[edge]
         fresh = np.array([tuple(e) not in refused for e in ends.tolist()], bool)

@@ -36,7 +36,7 @@ def test_against_another_axisymmetric_code(modulus: float | None, nu: float) -> 
         assert force == pytest.approx(row["force_N"], rel=0.008 if modulus else 0.004)
         # their radius is the outermost loaded point, known to a quarter of an edge of up to 0.2 mm; ours to an edge of 0.08 mm
         assert np.sqrt(area / np.pi) * 1e3 == pytest.approx(row["contact_radius_mm"], abs=0.05 + 0.04)
-    assert press.penetration.max() < 1e-6
+    assert press.penetration.max() < 2e-6  # between the points too; a fortieth of the shortest edges
 
 
 def test_profile_of_the_gel() -> None:

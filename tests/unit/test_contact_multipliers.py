@@ -8,7 +8,9 @@ import warp as wp
 from fem_fixtures import TOLERANCE, cap_press, cap_scene, flat_gel, problem_of, rigid_body
 
 from gelsim.errors import SolveStatus
-from gelsim.fem.contact import LEFT_MM
+from gelsim.fem.contact import LEFT_MM, ContactLaw, RigidContact, SurfaceContact
+from gelsim.fem.field import exact_distance, sampled
+from gelsim.fem.planar.contact import EdgeContact
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
 from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
@@ -48,6 +50,57 @@ def test_a_sharp_rim_keeps_the_overlap_that_it_is_granted(punch: PressProblem) -
     granted = LEFT_MM + punch.law.smoothing / 2
     assert overlap_at_rest(punch) < 1.1 * granted
     assert overlap_at_rest(punch, np.inf) > 4 * granted
+
+
+LAW = ContactLaw(100.0, 5e-4, 0.0, 30.0)
+FACE = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+"""Nodes of a face [mm]."""
+ONE = np.arange(6, dtype=np.int32)[None]
+
+
+def test_overlap_is_seen_between_the_points() -> None:
+    """A ball's apex 0.05 mm deep in the middle of a side, a fifth of a side from the next point: all of it is told, to the grid's accuracy.
+
+    Of a curvature 1/R the spline's samples keep (2 spacing/R)² spacing²/3R (`field.PER_RADIUS`): 0.06 µm here; 1 µm is asked for.
+    """
+    radius, deep, step = 1.0, 0.05, 0.05
+    ball = exact_distance(Body(shape="hemisphere", rigid=True, radius_mm=radius))
+    field = sampled(ball, np.array([-2.5, -2.5, -0.5]), np.array([2.5, 2.5, 1.0]), step, step)
+    frame = np.vstack([np.zeros(3), RigidContact.SIDE * np.eye(3)]) + [1.0, 0.0, -deep]
+    x = np.vstack([FACE, frame])
+    contact = RigidContact(ONE, np.arange(6, 10), x, field, LAW, "cpu")
+    positions = wp.array(x, dtype=wp.vec3d, device="cpu")
+    contact.update(positions, 1.0)
+    assert contact.overlap(positions) == pytest.approx(deep, abs=1e-3)
+    assert -float(contact.gap.numpy().min()) < 0.6 * deep  # the planted fault: only at the points
+    assert contact.points == 6 and len(contact.gap) == 6  # the contact itself is as it was
+
+
+def test_overlap_of_a_soft_object_is_seen_between_the_points() -> None:
+    """A bulge of a face, highest at a side's middle, where the six points see four fifths of it, and a plane at nine tenths.
+
+    The bulge is b x y: at its top the face's normal, along which a gap is told, leans by tan⁻¹(√2 b).
+    """
+    bulge = 0.05
+    x = np.vstack([FACE, 4 * FACE[[0, 2, 1, 5, 4, 3]] + [-2.0, -2.0, 0.9 * bulge]])
+    x[4, 2] = bulge
+    contact = SurfaceContact(ONE, ONE + 6, x, LAW, "cpu")
+    positions = wp.array(x, dtype=wp.vec3d, device="cpu")
+    contact.update(positions, 1.0)
+    assert contact.overlap(positions) == pytest.approx(0.1 * bulge * np.sqrt(1 + 2 * bulge**2), rel=1e-9)
+    assert float(contact.gap.numpy().min()) > 0.0  # the planted fault: only at the points
+
+
+def test_overlap_of_a_profile_is_seen_between_the_points() -> None:
+    """The same in the plane: a bulge of an edge's middle, where no Gauss point is."""
+    bulge = 0.05
+    x = np.array([[2, 0, 0], [0, 0, 0], [1, 0, bulge], [-1, 0, 0.95 * bulge], [3, 0, 0.95 * bulge], [1, 0, 0.95 * bulge]], float)
+    contact = EdgeContact(np.array([[1, 0, 2]], np.int32), np.array([[3, 4, 5]], np.int32), x, LAW, False)
+    positions = wp.array(x, dtype=wp.vec3d, device="cpu")
+    contact.update(positions, 1.0)
+    found = abs(contact.overlap(positions))
+    assert found == pytest.approx(0.05 * bulge, rel=1e-9)
+    assert -float(contact.gap.numpy().min()) < 0.5 * found
 
 
 def test_the_tangent_holds_what_a_multiplier_bears_far_from_the_object() -> None:

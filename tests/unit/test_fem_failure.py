@@ -24,7 +24,7 @@ from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
 from gelsim.fem.quasistatic import SOON, run_press
 from gelsim.pipeline import stages
 from gelsim.results import Deformation, ErrorEstimate, SolveReport
-from gelsim.scene.definition import Scene
+from gelsim.scene.definition import Body, Gel, Press, Scene
 from gelsim.scene.layers import build_scene
 from gelsim.scene.materials import press_materials
 
@@ -420,6 +420,20 @@ STICKY = build_scene({
     "press": {"depth_mm": 0.8, "force_n": "none", "frames": 5, "shear_mm": [1.0, 0.0], "symmetry": "none"},
 })  # fmt: skip
 """A soft ball with friction, sheared."""
+
+
+@pytest.mark.parametrize(
+    ("shape", "fidelity", "points"),
+    [("box", "balanced", 12), ("box", "reference", 12), ("box", "fast", 6), ("hemisphere", "balanced", 6), ("flat", "balanced", 6)],
+)
+def test_contact_points_are_more_where_sharp_edges_touch_fine_meshes(shape: str, fidelity: str, points: int) -> None:
+    """A ball has none, a block that is wider than the gel none over it."""
+    body = Body(shape=shape, rigid=True, **({"width_mm": 30.0, "length_mm": 30.0} if shape == "flat" else {}))
+    scene = Scene(object=body, gel=Gel(profile="flat"), press=Press(depth_mm=0.3), fidelity=fidelity)
+    assert strategy.contact_points(scene) == points
+    asked, _ = next(strategy.tries(points=points))
+    assert asked.contact_points == points
+    assert gelsim.fem._problem(asked, scene, *stages.bodies(scene), "cpu").contact.points == points
 
 
 def made_sticky(contact_points: int = 12, held: float = 0.0, frames: int = 5, force_n: float | None = None) -> PressProblem:

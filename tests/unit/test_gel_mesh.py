@@ -15,7 +15,7 @@ from gelsim.mesh import gel_mesh
 from gelsim.mesh.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, refine, split
 from gelsim.mesh.contact_area import core, footprint
 from gelsim.mesh.gel_mesh import LONGER_ACROSS, mesh_gel
-from gelsim.mesh.rim_edges import LEAST, lay_edges
+from gelsim.mesh.rim_edges import LEAST, NEAR_BESIDE, lay_edges
 from gelsim.mesh.sizing import SIZES, SizeField
 from gelsim.scene.definition import Body, Gel, Press, Scene
 from gelsim.shape.shapes import gel_height, rotation
@@ -334,7 +334,7 @@ def test_the_gel_has_edges_along_a_rim(fidelity: str, monkeypatch: pytest.Monkey
     rim = np.abs(np.hypot(*mesh.rest_positions[np.unique(mesh.groups["coated"][:, :3]), :2].T) - 3e-3) < 10e-6
     assert rim.sum() >= 1.5e-3 * np.pi / (1.5 * SIZES[fidelity].rim)
     # the planted fault
-    monkeypatch.setattr(gel_mesh, "lay_edges", lambda vertices, tets, pieces, squeeze: (vertices, tets))
+    monkeypatch.setattr(gel_mesh, "lay_edges", lambda vertices, tets, *_: (vertices, tets))
     assert straddling(mesh_gel(given, QUARTER), 3e-3, 10e-6) > 10
 
 
@@ -364,6 +364,31 @@ def test_a_corner_of_a_rim_is_a_vertex_and_no_edge_crosses_it() -> None:
 
     assert inside_area(moved, cut) == pytest.approx(float(np.prod(high - low)), rel=1e-9)
     assert abs(inside_area(vertices, tets) / np.prod(high - low) - 1) > 1e-3  # the planted fault: not laid
+
+
+def test_faces_at_a_rim_are_short_across_it() -> None:
+    """Faces that touch an oblique line go no farther from it than its parallels and a bit: an edge whose end is that near is left whole."""
+    points, tets = refine(*kuhn_box(np.array([4, 4, 1])), lambda p, t: np.abs(np.ptp(p[t], axis=1)).max(axis=1) > UNIT // 4)
+    vertices, beside = points / UNIT, 0.12
+    start, end = np.array([0.5, 0.9]), np.array([3.5, 2.7])
+    line = start + np.linspace(0.0, 1.0, 13)[:, None] * (end - start)
+    pieces = np.stack([line[:-1], line[1:]], axis=1)
+    along = (end - start) / np.linalg.norm(end - start)
+
+    def long_across(beside: float) -> float:
+        """Share of the faces on the line's middle part that go farther from it."""
+        laid, cut = lay_edges(vertices, tets, pieces, np.ones(3), beside)
+        assert tet_volumes(laid, cut.astype(np.int32)).sum() == pytest.approx(16.0, rel=1e-12)
+        assert tet_quality(laid, cut.astype(np.int32)).min() >= LEAST
+        faces = outer_faces(quadratic_tets(laid, cut.astype(np.int32))[1])[:, :3]
+        corners = laid[faces[(laid[faces, 2] == 1.0).all(axis=1)], :2] - start
+        away, place = np.abs(corners @ [-along[1], along[0]]), corners @ along
+        share = place / np.linalg.norm(end - start)
+        beside_it = (away < 1e-9).any(axis=1) & ((share > 0.1) & (share < 0.9)).all(axis=1)
+        return float((away[beside_it].max(axis=1) > 0.12 / (1 - NEAR_BESIDE)).mean())
+
+    assert long_across(beside) < 0.1  # cuts that would leave poor tets
+    assert long_across(0.0) > 0.4  # the planted fault: none cut
 
 
 def test_rims_without_mirror_images_are_not_meshed_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

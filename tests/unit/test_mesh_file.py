@@ -135,7 +135,7 @@ def test_an_open_scan_has_an_inside(side: str, sign: float, tmp_path: Path) -> N
         assert ((found < 0) == (above > 0)).all()
         assert (np.abs(found) <= abs(above) + 5e-3).all()  # no farther than straight up or down
     press = pressed(body)
-    assert press.converged.all() and press.penetration.max() < 20e-6
+    assert press.converged.all() and press.penetration.max() < 40e-6  # of faces at `fast`, between their points too
 
 
 def test_a_bowl_scanned_from_within_is_pressed_by_its_bottom(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ numbers are small (hundreds of points): vectors in NumPy, no kernels.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -94,6 +95,16 @@ class EdgeContact(SurfaceContact):
         self.multipliers = np.zeros((len(self.vertices), 4))
         self.kept, self.passed, self._apart = np.zeros((count, 4)), np.zeros((count, 3)), NOWHERE
         self._slots: tuple[PairPattern, tuple[Array, ...]] | None = None
+
+    def _seen_at(self, bary: Array) -> EdgeContact:
+        """The same surfaces with points where a face's lattice has its first side."""
+        place = bary[bary[:, 2] == 0.0, 1]
+        seen = copy.copy(self)
+        seen._m, seen._slave = np.tile(edge_shape(place), (len(self.slave_faces), 1)), np.repeat(self.slave_faces, len(place), axis=0)
+        count = len(seen._m)
+        seen.face, seen.gap = (wp.full(count, value, dtype=kind, device="cpu") for value, kind in ((-1, wp.int32), (1e9, wp.float64)))
+        seen.place, seen.normal = (wp.zeros(count, dtype=wp.vec3d, device="cpu") for _ in range(2))
+        return seen
 
     def _master_shape(self, xi: Array) -> Array:
         return edge_shape(xi[:, 0])
