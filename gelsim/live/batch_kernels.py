@@ -227,9 +227,7 @@ def bent(
 @wp.func
 def keys(t: float) -> wp.vec4f:
     """Shares of four values in a row, as `gelsim.live.layer.keys`."""
-    return wp.vec4f(
-        ((2.0 - t) * t - 1.0) * t * 0.5, ((3.0 * t - 5.0) * t * t + 2.0) * 0.5, ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5, (t - 1.0) * t * t * 0.5
-    )  # fmt: skip
+    return 0.5 * wp.vec4f(((2.0 - t) * t - 1.0) * t, (3.0 * t - 5.0) * t * t + 2.0, ((4.0 - 3.0 * t) * t + 1.0) * t, (t - 1.0) * t * t)
 
 
 @wp.kernel(enable_backward=False)

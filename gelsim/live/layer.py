@@ -8,13 +8,14 @@ of the grid around the contact: convolution with the answer to one cell, on twic
 
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). With friction
 the height is read nearer to X (`Window.led`), as the face is drawn along and its slopes with it. The layer is as thick as the gel at the
-centre of pressure; with friction, under load, as stiff as one thinner by THINNING of the mean indentation. Flat faces meet more than that:
-it multiplies forces alone (`stiffening`).
+centre of pressure; under load, where friction keeps the face from spreading, as stiff as one thinner by THINNING of the mean indentation
+(`held_back`). Flat faces meet more than that: it multiplies forces alone (`stiffening`).
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Friction (gelsim/fem/friction.py) is
 incremental: where |q| is below its bound the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over
 discs, found by spectral projected gradients (Birgin, Martínez and Raydan 2000). Both alternate, as shear lifts the surface and pressure
-spreads it.
+spreads it. The bound is that of the face, which slopes (`slip_limit`); what sticks goes along with the object, and takes with it how far it
+was drawn (`carried_along`): left at its place, loops of a sheared ball enclose a tenth to a fifth more.
 
 Along itself the face is followed to second order (`Window.bending`). At a height g over a plane, pressure p and friction τ ask of the flat
 layer under that plane the tangential traction
@@ -25,8 +26,9 @@ of the first p∇g is what a slope adds to the force too. What the bulk does to 
 it markers are off by as much as with none, the other way. τ/G, rough at a contact's edge, is left out, and strains are smoothed over the
 deepest indentation: of shorter waves the series does not converge, and their part in it grows from round to round.
 
-Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, what else second order
-does to heights and pressure, inertia, viscosity, the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
+Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact but for the force that it
+asks for (`work_and_less`), what else second order does to heights and pressure, inertia, viscosity. Units here: mm, kPa (so mN), single
+precision.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ Values = NDArray[np.float32]
 CELL_MM = 0.2
 """Of the grid, at most."""
 THINNING = 0.35
-"""Of the mean indentation, with friction; without, the layer keeps its thickness."""
+"""Of the mean indentation, where friction holds all of the face's spreading back: least squares over forces of balls of R 3 to 12 mm
+pressed straight down with friction of 0.2 to 1, which leaves 2 %. 0.27, whatever friction holds, leaves as much there, and 6 % of a ball
+that slides (0.6 mm to and fro), which has no thinning."""
 STIFFENING, FLATNESS = 0.59, 16.0
 """Of `stiffening`: least squares over punches, frusta, tori, tubes, wedges and balls at `balanced`, with friction of 0.25 to 1, of which
 53 % are within the bounds of docs/live.md without it, 82 % with it."""
@@ -685,7 +689,7 @@ def level(pressure: Values, rest: Values) -> Any:
 
 
 def carried_along(values: Values, drift: Values, cell: tuple[float, float]) -> Values:
-    """Motion along the face (2, rows, columns) [mm] of what comes to each place, as it goes along by a drift (likewise) from where it was."""
+    """Motion along the face (2, rows, columns) [mm] of what is now at each place, once all has gone along by a drift (likewise)."""
     if not drift.any():
         return values
     row, column = np.indices(values.shape[1:])

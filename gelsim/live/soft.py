@@ -4,11 +4,12 @@ What tractions over the contact move is what they move of a wide layer of the ob
 it a motion of the contact as a whole, by their force and torque about the apex: six numbers by six. These are the object's own linear
 finite elements' (`gelsim.fem.compliance`) under tractions as of a ball pressed SHARES of the gel's thickness deep, less what the layer does
 under the same. Pressure acts along the face's normals: what is almost incompressible is held by that as it is squeezed aside. The
-layer is as thick as the object over the centre of pressure, thinned like the gel. A load on an apex that has gone aside bends the object
-further, as it does a rod: without that, shear forces of balls are 5 to 20 % and of a box 30 % too large.
+layer is as thick as the object over the centre of pressure, thinned like the gel. The motion as a whole stiffens as the object gets lower,
+as a neo-Hookean column does: without, low punches of 2 mm have 14 % too little force, with it 4 %. A load on an apex that has gone aside
+bends the object further, as it does a rod: without that, shear forces of balls are 5 to 20 % and of a box 30 % too large.
 
-Left out: what else the object's shape does to the surface (rims, walls; those thinner than WALL are refused), large strains (of low objects
-with a flat face, `gelsim.live.press.OF_LOW_EDGED`), contact elsewhere than about the apex.
+Left out: what else the object's shape does to the surface (rims, walls; those thinner than WALL are refused; sides that bulge,
+`gelsim.live.press.OF_LOW_EDGED`), contact elsewhere than about the apex.
 """
 
 from __future__ import annotations
