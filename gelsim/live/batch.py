@@ -22,7 +22,6 @@ import warp as wp
 
 from gelsim.errors import RenderError, SceneError
 from gelsim.fem import quiet_warp
-from gelsim.fem.friction import slip_bound
 from gelsim.live import layer as single
 from gelsim.live.sensor import DEEPEST, MOST_TRAVEL_MM, RISE, STUCK, baked_gel, check_overlap, check_scene, check_time
 from gelsim.live.underside import whole_field
@@ -38,7 +37,7 @@ except ImportError as error:
     raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
 
 from gelsim.live.batch_kernels import FAR_MM, undersides
-from gelsim.live.batch_layer import Layers, bounded, read, stream
+from gelsim.live.batch_layer import TINY, Layers, bounded, read, stream
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -84,6 +83,7 @@ class State:
     moved: Tensor
     dragged: Tensor
     anchor: Tensor
+    bound: Tensor
     owner: Tensor
     """Number of the object that is lowest over a cell, int8."""
 
@@ -129,7 +129,7 @@ class LiveBatch:
         quiet_warp()
         self._scene = scene.replace(render=replace(scene.render, mode="baked"))
         self._count, gel = sensors, scene.gel
-        self._layer, rest, self._friction, self._thinning = baked_gel(scene)
+        self._layer, rest, self._friction = baked_gel(scene)
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
         self._rest = torch.as_tensor(rest, device=self.device)
@@ -158,7 +158,7 @@ class LiveBatch:
             nothing = torch.zeros((n, 3, rows, columns), device=device)
             thickness = torch.full((n,), float(self._scene.gel.thickness_mm), device=device, dtype=torch.float64)
             owner = torch.full((n, rows, columns), -1, dtype=torch.int8, device=device)
-            self._state = State(thickness, nothing[:, 0], nothing[:, :2], nothing, nothing[:, :2], nothing[:, :2], owner)
+            self._state = State(thickness, nothing[:, 0], nothing[:, :2], nothing, nothing[:, :2], nothing[:, :2], nothing[:, 0], owner)
             self._turn = torch.eye(3, dtype=torch.float64, device=device).repeat(n, len(self.objects), 1, 1)
             self._shift = torch.zeros((n, len(self.objects), 3), dtype=torch.float64, device=device)
             self._clear = torch.zeros((n, len(self.objects)), device=device)
@@ -295,8 +295,8 @@ class LiveBatch:
                 # Of a way that began in the air, the part from first touch on.
                 share = torch.where(each < 0, each / (each - self._clear).clamp(max=-1e-9), 0.0)[which]
                 by_cell = torch.gather(share, 1, owner[which].long().flatten(1)).view_as(here[:, 0])
-                known = self._known[which][:, None, None, None]
-                state = replace(state, anchor=state.anchor + torch.where(known, drift * by_cell[:, None], 0.0))
+                drift = torch.where(self._known[which][:, None, None, None], drift * by_cell[:, None], 0.0)
+                state = replace(state, anchor=self._layers.carried_along(state.anchor, drift))
             self._state = self._state.put(which, self._solved(state, room[which], owner[which]))
         at = going[:, None]
         self._turn, self._shift = torch.where(at[..., None, None], turn, self._turn), torch.where(at[..., None], shift, self._shift)
@@ -309,6 +309,7 @@ class LiveBatch:
         kept = replace(state, owner=owner)
         place = torch.arange(len(room), device=room.device)
         p, q, moved, dragged, anchor, thickness = state.pressure, state.shear, state.moved, state.dragged, state.anchor, state.thickness
+        bound = torch.zeros_like(p)
         bent, turned = torch.zeros_like(q), torch.zeros_like(room[:, :1, :1])
         ways, softest = layers.ways(thickness), layers.stiffness(thickness)
         for round in range(single.ROUNDS):
@@ -317,23 +318,24 @@ class LiveBatch:
             lift = moved[:, 2] + layers.sunk(ways, p)
             p, gap = layers.pressed(ways, room - lift, p, softest, -room.amin(dim=(1, 2), keepdim=True))
             total = p.sum(dim=(1, 2)).clamp(min=1e-30).double()
-            thinner = self._thinning * (gap - room)
+            sunk = gap - room
+            thinner = single.THINNING * layers.held_back(p, moved[:, :2] - dragged, dragged) * sunk if self._friction else 0.0
             now = gel.thickness_mm + (p * (rest - thinner)).sum(dim=(1, 2)).double() / total
             same = (now / thickness - 1).abs() < single.SETTLED
             settled = single.SETTLED * p.flatten(1).norm(dim=1)
             done = same & ((p - before).flatten(1).norm(dim=1) < settled) & (turned.flatten() < settled) & (round > 0 or not self._friction)
             if bool(done.any()):
-                found = State(thickness, p, q, moved, dragged, anchor, owner).of(done)
+                found = State(thickness, p, q, moved, dragged, anchor, bound, owner).of(done)
                 kept = kept.put(place[done], replace(found, owner=owner[done]))
                 left = ~done
                 if not bool(left.any()):
                     break
                 place, owner, room = place[left], owner[left], room[left]
                 p, q, moved, dragged, anchor, thickness = (v[left] for v in (p, q, moved, dragged, anchor, thickness))
-                bent, now, same = bent[left], now[left], same[left]
+                bent, now, same, sunk = bent[left], now[left], same[left], sunk[left]
             thickness = torch.where(same, thickness, now)
             ways, softest = layers.ways(thickness), layers.stiffness(thickness)
-            bound = slip_bound(self._friction, p)
+            bound = single.slip_limit(self._friction, p, q.transpose(0, 1), layers.slope(rest - sunk))
             held = bounded(q, bound[:, None])
             moved = layers.moved(ways, p, held)
             if self._friction:
@@ -346,7 +348,7 @@ class LiveBatch:
                 dragged = dragged + free - slip
                 moved = torch.cat([free + anchor - bent, moved[:, 2:] + layers.lifted(ways, q - held)[:, None]], 1)
         else:
-            kept = kept.put(place, State(thickness, p, q, moved, dragged, anchor, owner))
+            kept = kept.put(place, State(thickness, p, q, moved, dragged, anchor, bound, owner))
         return self._anchored(kept)
 
     def _anchored(self, state: State) -> State:
@@ -356,7 +358,7 @@ class LiveBatch:
         moved = layers.moved(ways, state.pressure, state.shear)
         if not self._friction:
             return replace(state, moved=moved, anchor=moved[:, :2])
-        stuck = state.shear.square().sum(dim=1) < (STUCK * slip_bound(self._friction, state.pressure)) ** 2
+        stuck = state.shear.square().sum(dim=1) < (STUCK * state.bound) ** 2
         along, carried = layers.bending(state.pressure, moved, self._rest)
         anchor = torch.where(stuck[:, None], state.anchor, moved[:, :2] + layers.dragged(ways, along) + carried)
         return replace(state, moved=moved, anchor=anchor)
@@ -364,7 +366,12 @@ class LiveBatch:
     def _frame(self) -> BatchFrame:
         layer, layers, state = self._layer, self._layers, self._state
         z = self._rest + state.moved[:, 2]
-        traction = state.shear + state.pressure[:, None] * layers.slope(z).transpose(0, 1)
+        slope = layers.slope(z)
+        if self._rest.any():
+            _, less = layers.work_and_less(state.thickness, state.pressure)
+            pressed = state.pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
+            slope = slope - (less / (2.0 * pressed)) * layers.slope(self._rest)[:, None]
+        traction = state.shear + state.pressure[:, None] * slope.transpose(0, 1)
         traction = torch.cat([traction, -state.pressure[:, None]], 1)
         touching = state.pressure > 0
         force, torque = [], []

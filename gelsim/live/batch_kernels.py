@@ -224,6 +224,37 @@ def bent(
     carried[n, 1, i, j] = back[1]
 
 
+@wp.func
+def keys(t: float) -> wp.vec4f:
+    """Shares of four values in a row, as `gelsim.live.layer.keys`."""
+    return 0.5 * wp.vec4f(((2.0 - t) * t - 1.0) * t, (3.0 * t - 5.0) * t * t + 2.0, ((4.0 - 3.0 * t) * t + 1.0) * t, (t - 1.0) * t * t)
+
+
+@wp.kernel(enable_backward=False)
+def carried_along(cell: wp.vec2f, values: wp.array4d(dtype=float), drift: wp.array4d(dtype=float), found: wp.array4d(dtype=float)):
+    """Motions along the faces of what comes to each place by a drift (`gelsim.live.layer.carried_along`)."""
+    n, i, j = wp.tid()
+    rows = values.shape[2]
+    columns = values.shape[3]
+    row = wp.clamp(float(i) - drift[n, 1, i, j] / cell[1], 0.0, float(rows - 1))
+    column = wp.clamp(float(j) - drift[n, 0, i, j] / cell[0], 0.0, float(columns - 1))
+    up = wp.min(int(row), rows - 2)
+    left = wp.min(int(column), columns - 2)
+    down = keys(row - float(up))
+    right = keys(column - float(left))
+    x = float(0.0)
+    y = float(0.0)
+    for a in range(4):
+        for b in range(4):
+            share = down[a] * right[b]
+            k = wp.clamp(up + a - 1, 0, rows - 1)
+            m = wp.clamp(left + b - 1, 0, columns - 1)
+            x += share * values[n, 0, k, m]
+            y += share * values[n, 1, k, m]
+    found[n, 0, i, j] = x + drift[n, 0, i, j]
+    found[n, 1, i, j] = y + drift[n, 1, i, j]
+
+
 @wp.kernel(enable_backward=False)
 def undersides(
     field: FieldGrid,

@@ -20,7 +20,7 @@ import warp as wp
 from torch import Tensor
 
 from gelsim.live import layer as single
-from gelsim.live.batch_kernels import bent, bent_stress, dragged_waves, lifted_waves, moved_waves, press_on, shear_on
+from gelsim.live.batch_kernels import bent, bent_stress, carried_along, dragged_waves, lifted_waves, moved_waves, press_on, shear_on
 from gelsim.live.layer import Layer
 
 CHECKED = 4
@@ -162,9 +162,27 @@ class Layers:
         deepest, total = -moved[:, 2].amin(dim=(1, 2), keepdim=True), pressure.sum(dim=(1, 2), keepdim=True)
         mean = -inner(pressure, moved[:, 2]) / total.clamp(min=TINY)
         share = (mean / deepest.clamp(min=TINY)).clamp(0.0, 1.0)
-        thinned = single.STIFFENING * share**single.FLATNESS * mean / thickness[:, None, None].float()
-        work, less = (inner(pressure, self.sunk(self.ways(h), pressure)) for h in (thickness, (1 - single.THINNER) * thickness))
-        return torch.where((total > 0) & (deepest > 0), 1.0 + (1.0 - less / work.clamp(min=TINY)) / single.THINNER * thinned, 1.0)
+        thinned = single.STIFFENING * share**single.FLATNESS * mean
+        work, less = self.work_and_less(thickness, pressure)
+        return torch.where((total > 0) & (deepest > 0), 1.0 + less / work.clamp(min=TINY) * thinned, 1.0)
+
+    def work_and_less(self, thickness: Tensor, pressure: Tensor) -> tuple[Tensor, Tensor]:
+        """As `layer.work_and_less`, (n, 1, 1) each."""
+        work, thinner = (inner(pressure, self.sunk(self.ways(h), pressure)) for h in (thickness, (1 - single.THINNER) * thickness))
+        return work, (work - thinner) / (single.THINNER * thickness[:, None, None].float())
+
+    def held_back(self, pressure: Tensor, spread: Tensor, dragged: Tensor) -> Tensor:
+        """As `layer.held_back`, (n, 1, 1)."""
+        total = pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
+        arms = torch.stack([pressure * (way - (pressure * way).sum(dim=(1, 2), keepdim=True) / total) for way in (self.x, self.y)], 1)
+        out, back = inner(arms, spread), inner(arms, dragged)
+        return torch.where(out > 0, (-back / out.clamp(min=TINY)).clamp(0.0, 1.0), 0.0)
+
+    def carried_along(self, values: Tensor, drift: Tensor) -> Tensor:
+        """As `layer.carried_along`, (n, 2, rows, columns)."""
+        found = torch.empty_like(drift)
+        launch(carried_along, (len(values), *self.shape), self._cell, values, drift, found)
+        return found
 
     def pressed(self, ways: Tensor, room: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.pressure`: p ≥ 0 [kPa] with gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap. `deepest`: overlap (n, 1, 1) [mm]."""

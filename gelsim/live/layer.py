@@ -8,13 +8,14 @@ of the grid around the contact: convolution with the answer to one cell, on twic
 
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). With friction
 the height is read nearer to X (`Window.led`), as the face is drawn along and its slopes with it. The layer is as thick as the gel at the
-centre of pressure; with friction, under load, as stiff as one thinner by THINNING of the mean indentation. Flat faces meet more than that:
-it multiplies forces alone (`stiffening`).
+centre of pressure; under load, where friction keeps the face from spreading, as stiff as one thinner by THINNING of the mean indentation
+(`held_back`). Flat faces meet more than that: it multiplies forces alone (`stiffening`).
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Friction (gelsim/fem/friction.py) is
 incremental: where |q| is below its bound the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over
 discs, found by spectral projected gradients (Birgin, Martínez and Raydan 2000). Both alternate, as shear lifts the surface and pressure
-spreads it.
+spreads it. The bound is that of the face, which slopes (`slip_limit`); what sticks goes along with the object, and takes with it how far it
+was drawn (`carried_along`): left at its place, loops of a sheared ball enclose a tenth to a fifth more.
 
 Along itself the face is followed to second order (`Window.bending`). At a height g over a plane, pressure p and friction τ ask of the flat
 layer under that plane the tangential traction
@@ -25,8 +26,9 @@ of the first p∇g is what a slope adds to the force too. What the bulk does to 
 it markers are off by as much as with none, the other way. τ/G, rough at a contact's edge, is left out, and strains are smoothed over the
 deepest indentation: of shorter waves the series does not converge, and their part in it grows from round to round.
 
-Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact, what else second order
-does to heights and pressure, inertia, viscosity, the slope of the object in Coulomb's law. Units here: mm, kPa (so mN), single precision.
+Left out: the gel's side faces (the layer is periodic with the gel's size), change of thickness over the contact but for the force that it
+asks for (`work_and_less`), what else second order does to heights and pressure, inertia, viscosity. Units here: mm, kPa (so mN), single
+precision.
 """
 
 from __future__ import annotations
@@ -41,13 +43,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from gelsim.fem.friction import slip_bound
+
 T = TypeVar("T")
 Values = NDArray[np.float32]
 
 CELL_MM = 0.2
 """Of the grid, at most."""
-THINNING = 0.3
-"""Of the mean indentation, with friction; without, the layer keeps its thickness."""
+THINNING = 0.35
+"""Of the mean indentation, where friction holds all of the face's spreading back: least squares over forces of balls of R 3 to 12 mm
+pressed straight down with friction of 0.2 to 1, which leaves 2 %. 0.27, whatever friction holds, leaves as much there, and 6 % of a ball
+that slides (0.6 mm to and fro), which has no thinning."""
 STIFFENING, FLATNESS = 0.59, 16.0
 """Of `stiffening`: least squares over punches, frusta, tori, tubes, wedges and balls at `balanced`, with friction of 0.25 to 1, of which
 53 % are within the bounds of docs/live.md without it, 82 % with it."""
@@ -78,6 +84,8 @@ PUNCH_TOLERANCE = 0.05
 """Of the motion that is asked of some cells, RMS."""
 STEPS = 200
 """Of a gradient method, at most."""
+STICK = 1e3
+"""Coefficient of friction that stands for "stick"."""
 LOOKS = 3
 """For the place of a material point: u_t falls by half over a thickness at least, so each gains a factor of three or more."""
 _WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 300.0, 3000)])
@@ -436,6 +444,8 @@ class SoftBody:
     """Of the window's columns [mm]."""
     y: NDArray[np.float64]
     """Of its rows."""
+    squash: float = 0.0
+    """By how much it is lower over the contact, in the mean, for which the compliance is [mm]."""
 
     def motion(self, cell: float, pressure: Values | None, shear: Values | None) -> NDArray[np.float64]:
         """The motion by tractions on the layer, whose opposites act here, (6,) [mm, rad]; `cell`: its area [mm²]."""
@@ -568,9 +578,46 @@ def stiffening(window: Window, pressure: Values, moved: Values) -> float:
     if total == 0.0 or deepest <= 0.0:
         return 1.0
     mean = -float(np.vdot(pressure, moved[2])) / total
-    thinned = STIFFENING * (mean / deepest) ** FLATNESS * mean / window.thickness
-    work, less = (float(np.vdot(pressure, one.sunk(pressure))) for one in (window, window.at((1 - THINNER) * window.thickness)))
-    return 1.0 + (1.0 - less / work) / THINNER * thinned
+    thinned = STIFFENING * (mean / deepest) ** FLATNESS * mean
+    work, less = work_and_less(window, pressure)
+    return 1.0 + less / work * thinned
+
+
+def work_and_less(window: Window, pressure: Values) -> tuple[float, float]:
+    """Σ p · sunk(p) [kPa mm] over the cells, and by how much it is less of a layer that is thinner [per mm]."""
+    work, thinner = (float(np.vdot(pressure, one.sunk(pressure))) for one in (window, window.at((1 - THINNER) * window.thickness)))
+    return work, (work - thinner) / (THINNER * window.thickness)
+
+
+def held_back(window: Window, pressure: Values, spread: Values, dragged: Values) -> float:
+    """What share of the face's spreading away from the pressure's centre is taken back by shear, 0 to 1.
+
+    Args:
+        spread, dragged: Motion along the face by pressure, and by shear, (2, rows, columns) [mm].
+    """
+    rows, columns = (cell * np.arange(count, dtype=np.float32) for cell, count in zip(window.layer.cell[::-1], window.shape, strict=True))
+    total = max(float(pressure.sum()), 1e-30)
+    x = pressure * (columns - np.float32(float(pressure.sum(axis=0) @ columns) / total))
+    y = pressure * (rows - np.float32(float(pressure.sum(axis=1) @ rows) / total))[:, None]
+    out, back = (float(np.vdot(x, way[0]) + np.vdot(y, way[1])) for way in (spread, dragged))
+    return min(max(-back / out, 0.0), 1.0) if out > 0.0 else 0.0
+
+
+def slip_limit(friction: float, pressure: Any, shear: Any, slope: Any) -> Any:
+    """Bound of the tractions q along the gel [kPa], by Coulomb's law in the plane of the face.
+
+    There a normal pressure P and a shear f, both over the gel's area, make p = P - f · ∇g and q = f + ∇g (f · ∇g), and bounds are those of
+    the face's area: up and down the slope |q| ≤ μP (1 + |∇g|²), across it the root of that; here a circle of the same area.
+
+    Args:
+        pressure, shear: p and q, of which q is known about.
+        slope: ∇g of the face, one for each axis.
+    """
+    if friction >= STICK:
+        return slip_bound(friction, pressure)
+    steep = 1.0 + slope[0] ** 2 + slope[1] ** 2
+    normal = pressure + (shear[0] * slope[0] + shear[1] * slope[1]) / steep
+    return slip_bound(friction, 0.5 * (normal + abs(normal))) * steep**0.75 * (pressure > 0)
 
 
 def bounded(q: Values, bound: Values) -> Values:
@@ -639,6 +686,14 @@ def punch(window: Window, cells: NDArray[np.bool_], motion: Values) -> Values:
 def level(pressure: Values, rest: Values) -> Any:
     """Height of the gel at rest [mm] where the pressure's centre is."""
     return np.float32((pressure * rest).sum() / max(float(pressure.sum()), 1e-30))
+
+
+def carried_along(values: Values, drift: Values, cell: tuple[float, float]) -> Values:
+    """Motion along the face (2, rows, columns) [mm] of what is now at each place, once all has gone along by a drift (likewise)."""
+    if not drift.any():
+        return values
+    row, column = np.indices(values.shape[1:])
+    return smooth_between(values, row - drift[1] / cell[1], column - drift[0] / cell[0]).astype(np.float32, copy=False) + drift
 
 
 def smooth_between(values: NDArray[np.floating], row: NDArray[np.float64], column: NDArray[np.float64]) -> NDArray[np.floating]:

@@ -39,8 +39,10 @@ class Patch:
     """Slope that is pressed into it, likewise; it goes with what is stuck to it. A pressure p acts as p (slope + lean, -1)."""
     area: float
     """Of a cell [m²]."""
+    bound: Array
+    """Of the shear [N], shape (M,)."""
     friction: float
-    """Coefficient."""
+    """Coefficient, by which bounds grow with the pressure."""
     springs: Array
     """Stiffness along the normal and along the face [N/m], shape (M, 2)."""
 
@@ -65,7 +67,8 @@ class Patch:
         pressure = np.maximum(self.pressure + normal, 0.0)
         x, y = self.shear[:, 0] + x, self.shear[:, 1] + y
         per_kpa = self.area / KPA_PER_PA  # N
-        bound = per_kpa * slip_bounds(self.friction, pressure / per_kpa)
+        before, now = (slip_bounds(self.friction, one / per_kpa) for one in (self.pressure, pressure))
+        bound = self.bound * now / np.maximum(before, 1e-30)
         held = np.minimum(1.0, bound / np.maximum(np.sqrt(x**2 + y**2), 1e-30))
         rise_x, rise_y = (self.slope + self.lean).T
         return np.stack([held * x + pressure * rise_x, held * y + pressure * rise_y, -pressure])

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
-from gelsim.fem.friction import slip_bounds
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Layer, SoftBody, Values, Window
 from gelsim.live.patch import Patch, torque
@@ -53,8 +52,6 @@ STILL_MM = 2e-3
 """Motion of the apex at which they end."""
 STUCK = 0.999
 """Of the frictional bound, below which it sticks."""
-STICK = 1e3
-"""Coefficient of friction that stands for "stick"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +104,8 @@ class State:
     anchor: Values
     """Motion along the face at which nothing slips, (2, rows, columns) [mm]. Where it sticks it is not taken from the solution, whose
     rounding would add up."""
+    bound: Values
+    """Of shear (rows, columns) [kPa]."""
     friction: float
     """Coefficient."""
 
@@ -148,8 +147,16 @@ class State:
 
     @cached_property
     def slope(self) -> Values:
-        """Of the face along x and y, (2, rows, columns): pressure acts along its normal."""
-        return self.window.slope(self.rest + self.moved[2])
+        """Along x and y, (2, rows, columns): pressure acts along the normal of it.
+
+        It is that of the face; and as the layer is as thick as the gel is where the pressure is, what the object is moved along to a place
+        where it is thinner asks for work: the gel answers by a force, which goes by its slope at rest.
+        """
+        slope = self.window.slope(self.rest + self.moved[2])
+        if not (self.gel.any() and self.pressure.any()):
+            return slope
+        _, less = gel_layer.work_and_less(self.window, self.pressure)
+        return slope - np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
 
     @cached_property
     def field(self) -> Values:
@@ -204,7 +211,7 @@ class LiveSensor:
 
         scene = scene.replace(render=replace(scene.render, mode="baked"))
         self._scene = scene
-        self._layer, self._rest, self._friction, self._thinning = baked_gel(scene)
+        self._layer, self._rest, self._friction = baked_gel(scene)
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
         self._object = Underside(scene.object)
@@ -228,7 +235,7 @@ class LiveSensor:
     def _release(self) -> None:
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
-        at_rest = nothing[0], nothing[:2], self._rest, nothing, nothing, nothing[:2], nothing[:2]
+        at_rest = nothing[0], nothing[:2], self._rest, nothing, nothing, nothing[:2], nothing[:2], nothing[0]
         self._state = State(window, None, (slice(0, 0), slice(0, 0)), *at_rest, self._friction)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
@@ -274,7 +281,7 @@ class LiveSensor:
         ways = [(turn, shift)]
         if before is not None and self._state.pressure.any() and self._friction:
             pieces = max(1, math.ceil(self._travel(before, (turn, shift)) / MOST_TRAVEL_MM))
-            ways = [_between(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
+            ways = [part_way(before, (turn, shift), part / pieces) for part in range(1, pieces)] + ways
         last, kept = self._seen(turn, shift), self.state
         try:
             for way in ways[:-1]:
@@ -329,6 +336,7 @@ class LiveSensor:
             at_rest[:, touching].T.astype(float),
             (state.slope - at_rest)[:, touching].T.astype(float),
             layer.cell[0] * layer.cell[1] * MM**2,
+            (state.bound[touching] * cell).astype(float),
             self._friction,
             springs * per_metre,
         )
@@ -379,19 +387,20 @@ class LiveSensor:
             here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)]).reshape(3, -1) - shift[:, None]
             drift = here[:2] - (self._pose[0] @ turn.T)[:2] @ here + (shift - self._pose[1])[:2, None]
             # Of a way that began in the air, the part from first touch on.
-            anchor = anchor + drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
+            drift = drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
+            anchor = gel_layer.carried_along(anchor, drift, layer.cell)
         window, moved, met, dragged = state.window, state.moved, state.met, state.dragged
         body, spring = None, self._spring
         if spring is not None:
             put = partial(spring.placed, turn, shift[:2] + known.bent, known.load, layer.x[place[1]], layer.y[place[0]])
-            body = put(0.0, spring.height) if known.body is None else put(known.body.low, known.body.thickness)
+            body = put(0.0, spring.height, 0.0) if known.body is None else put(known.body.low, known.body.thickness, known.body.squash)
         if place != state.place:
             window = layer.window(p.shape, window.thickness)
         facing = gel_layer.against(window, body)
         if place != state.place or facing is not window:
             met, dragged = facing.moved(p, q), facing.dragged(q)
         solved = not self._friction  # a flat face that goes along the gel changes its shear alone
-        bent, turned = np.zeros_like(met[:2]), 0.0
+        bent, turned, bound = np.zeros_like(met[:2]), 0.0, np.zeros_like(p)
         for _ in range(gel_layer.ROUNDS):
             before = p
             p, gap = gel_layer.pressure(facing, room, p, room - met[2])
@@ -399,17 +408,19 @@ class LiveSensor:
             if total == 0.0:  # a touch that is less than rounding
                 break
             sunk = gap - room if body is None else -window.moved(p, q)[2]
-            thickness = gel.thickness_mm + float((p * (rest - self._thinning * sunk)).sum()) / total
+            thinning = gel_layer.THINNING * gel_layer.held_back(window, p, met[:2] - dragged, dragged) if self._friction else 0.0
+            thickness = gel.thickness_mm + float((p * (rest - thinning * sunk)).sum()) / total
             same = abs(thickness / window.thickness - 1) < gel_layer.SETTLED
             if spring is not None and body is not None:
                 low = float((p * (heights - shift[2])).sum()) / total
-                own = spring.height - low - self._thinning * float((p * (gap - room - sunk)).sum()) / total
-                if max(abs(low - body.low), abs(own - body.thickness)) > gel_layer.SETTLED * spring.height:
-                    same, body = False, put(low, own)
+                squash = float((p * (gap - room - sunk)).sum()) / total
+                own = spring.height - low - thinning * squash
+                if max(abs(low - body.low), abs(own - body.thickness), abs(squash - body.squash)) > gel_layer.SETTLED * spring.height:
+                    same, body = False, put(low, own, squash)
             settled = gel_layer.SETTLED * float(np.linalg.norm(p))
             if same and solved and float(np.linalg.norm(p - before)) < settled and turned < settled:
                 break
-            bound = slip_bounds(self._friction, p)
+            bound = gel_layer.slip_limit(self._friction, p, q, window.slope(rest - sunk))
             held = gel_layer.bounded(q, bound)
             if not (same and np.array_equal(p, before) and np.array_equal(held, q)):
                 window = window if same else window.at(thickness)
@@ -428,12 +439,12 @@ class LiveSensor:
         if not (window is state.window and np.array_equal(p, state.pressure) and np.array_equal(q, state.shear)):
             moved = window.moved(p, q)
             met = moved if body is None else facing.moved(p, q)
-        stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * slip_bounds(self._friction, p)) ** 2
+        stuck = q[0] ** 2 + q[1] ** 2 < (np.float32(STUCK) * bound) ** 2
         if self._friction:
             along, carried = window.bending(p, moved, rest)
             anchor = np.where(stuck, anchor, met[:2] + window.dragged(along) + carried)
         dragged, anchor = dragged.astype(np.float32, copy=False), anchor.astype(np.float32, copy=False)
-        self._state = State(window, body, place, p, q, self._rest, moved, met, dragged, anchor, self._friction)
+        self._state = State(window, body, place, p, q, self._rest, moved, met, dragged, anchor, bound, self._friction)
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
@@ -508,14 +519,14 @@ class LiveSensor:
         return between(values, (at[:, 1] - layer.y[0]) / layer.cell[1], (at[:, 0] - layer.x[0]) / layer.cell[0])
 
 
-def baked_gel(scene: Scene) -> tuple[Layer, Values, float, float]:
-    """Of a scene's gel: its layer, its height at rest over the layer's cells [mm], the coefficient of friction, and its thinning."""
+def baked_gel(scene: Scene) -> tuple[Layer, Values, float]:
+    """Of a scene's gel: its layer, its height at rest over the layer's cells [mm], and the coefficient of friction."""
     gel, material = scene.gel, materials.gel_material(scene)
     layer = gel_layer.shared(gel.size_mm, Elastic(material.mu * KPA_PER_PA, material.poissons_ratio))
     places = np.stack(np.meshgrid(layer.x * MM, layer.y * MM), axis=-1)
     rest = gel_height(gel, places.reshape(-1, 2)).reshape(layer.shape).astype(np.float32) * np.float32(MM_PER_M)
-    friction = STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
-    return layer, rest, friction, gel_layer.THINNING if friction else 0.0
+    friction = gel_layer.STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)
+    return layer, rest, friction
 
 
 def check_time(dt: float) -> None:
@@ -562,7 +573,7 @@ def _pose(pose: ArrayLike) -> tuple[Array, Array]:
     return Rotation.from_quat(np.roll(values[3:], -1)).as_matrix(), values[:3] * MM_PER_M
 
 
-def _between(one: tuple[Array, Array], other: tuple[Array, Array], part: float) -> tuple[Array, Array]:
+def part_way(one: tuple[Array, Array], other: tuple[Array, Array], part: float) -> tuple[Array, Array]:
     """A pose on the way: straight, and turning evenly."""
     turned = Rotation.from_matrix(other[0] @ one[0].T).as_rotvec() * part
     return Rotation.from_rotvec(turned).as_matrix() @ one[0], one[1] + part * (other[1] - one[1])

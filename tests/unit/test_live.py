@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import gelsim
+from gelsim.bench import live
 from gelsim.errors import SceneError
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Layer, pressure, shear, waves
@@ -171,6 +172,67 @@ def test_slip_opposes_and_stays_below_its_bound() -> None:
     assert q.sum(axis=(1, 2))[0] == pytest.approx(bound.sum(), rel=0.02)  # it slides: all of μN
 
 
+def test_friction_is_coulombs_in_the_plane_of_the_face() -> None:
+    """On a plane that rises by s along x, under a normal pressure P of 2 and μ P along the plane, up or across: p = P - f · ∇g and
+    q = f + ∇g (f · ∇g) are at the limit, up to the circle that stands for an ellipse of axes μP (1 + s²) and μP (1 + s²)^(1/2)."""
+    rise, friction, normal = 0.4, 0.5, 2.0
+    slope, steep = np.array([rise, 0.0]), 1 + rise**2
+    for along, axis in ((np.array([1.0, 0.0]), 1.0), (np.array([0.0, 1.0]), 0.5), (np.array([-1.0, 0.0]), 1.0)):
+        tangent = np.array([*along, along @ slope])
+        f = friction * normal * along * np.sqrt(steep) / np.linalg.norm(tangent)  # of an area of the face, over one of the plane below
+        p, q = normal - f @ slope, f + slope * (f @ slope)
+        limit = gel_layer.slip_limit(friction, p, q, slope)
+        assert limit == pytest.approx(friction * normal * steep**0.75, rel=1e-12)
+        assert np.linalg.norm(q) == pytest.approx(friction * normal * steep**axis, rel=1e-12)
+        assert abs(gel_layer.slip_limit(friction, p, q, 0 * slope) / limit - 1) > 0.05 * (along[0] <= 0)  # planted: a level face
+    assert gel_layer.slip_limit(friction, np.float32(0.0), q, slope) == 0.0
+    assert gel_layer.slip_limit(gel_layer.STICK, 1.0, q, slope) == gel_layer.STICK
+
+
+def test_what_friction_holds_back() -> None:
+    """Of what spreads evenly, whatever shift, turn and shear there are beside it."""
+    grid = Layer((16.0, 12.0), GEL)
+    layer = grid.window(grid.shape, 2.4)
+    x, y = (way.astype(np.float32) for way in np.meshgrid(grid.x, grid.y))
+    p = np.exp(-((x - 1) ** 2 + (y + 0.5) ** 2)).astype(np.float32)
+    spread = 0.1 * np.stack([x - 1, y + 0.5])
+    beside = np.stack([0.3 - 0.2 * y + 0.1 * x, 0.2 * x - 0.1 * y])
+    for share in (0.0, 0.4, 1.0):
+        assert gel_layer.held_back(layer, p, spread, beside - share * spread) == pytest.approx(share, abs=1e-3)  # float32
+    assert gel_layer.held_back(layer, p, spread, 0.5 * spread) == gel_layer.held_back(layer, p, -spread, spread) == 0.0
+
+
+def test_what_sticks_goes_along() -> None:
+    """A wave of 16 cells over 5 of them. At once cubic convolution is off by some (k h)⁴ / 24, 1e-3; in small steps its slopes are central
+    differences, too small by (k h)² / 6, so that the wave is late by that share of 2π · 1.03 / 3.2: 0.052."""
+    cell, x = (0.2, 0.2), 0.2 * np.arange(96)
+    wave = np.stack(np.broadcast_arrays(np.sin(2 * np.pi * x / 3.2)[None], np.zeros((8, 96)))).astype(np.float32)
+    for steps, most in ((1, 1e-3), (1000, 0.053)):
+        drift = np.zeros_like(wave)
+        drift[0] = 1.03 / steps
+        moved = wave
+        for _ in range(steps):
+            moved = gel_layer.carried_along(moved, drift, cell)
+        known = np.sin(2 * np.pi * (x - 1.03) / 3.2) + 1.03
+        off = np.abs(moved[0] - known)[:, 10:-8]  # nothing is beyond either end
+        assert off.max() < most and not moved[1].any()
+        assert np.abs(wave[0] + 1.03 - known)[:, 10:].max() > 10 * most  # planted: it stays where it is
+    assert gel_layer.carried_along(wave, 0 * wave, cell) is wave
+
+
+def test_loops_are_those_of_finite_elements(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """10 % is asked of the area, to which comes what `fast` is off by: 2 % beside `reference`. Forces after half a loop within 5 %."""
+    monkeypatch.setattr(live, "TRUTH", "fast")
+    name = "shear ± 0.2 mm"
+
+    def off() -> float:
+        return abs(live.looped(name, tmp_path)["work_percent"])
+
+    assert off() < 12
+    monkeypatch.setattr(gel_layer, "carried_along", lambda values, drift, cell: values + drift)  # planted: nothing goes along
+    assert off() > 12
+
+
 @pytest.mark.parametrize("shape", [(24, 32), (25, 100), (70, 101)])
 def test_a_window_answers_as_the_whole_layer(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Tractions on some rows and columns: sums of some 1e3 terms in single precision, whose errors add up to 1e-5."""
@@ -230,9 +292,10 @@ def test_what_is_looked_at_holds_the_contact(friction: float | str, monkeypatch:
 
     (frame, highest), (wide, _) = walk(0.5), walk(2.0)
     assert 0.05 < highest < 0.35  # of the deepest overlap
-    assert np.allclose(frame.force, wide.force, rtol=0, atol=2e-3 * np.abs(wide.force).max())  # gel_layer.SETTLED
-    assert np.array_equal(frame.contact, wide.contact)
-    assert not np.array_equal(walk(0.0)[0].contact, wide.contact)  # planted: where they overlap at rest, and no more
+    # gel_layer.SETTLED of the pressure, and in either of the thickness, by whose third power at most a layer is stiffer
+    assert np.allclose(frame.force, wide.force, rtol=0, atol=4e-3 * np.abs(wide.force).max())
+    assert (frame.contact != wide.contact).sum() < 5  # of the rim's 170 cells
+    assert (walk(0.0)[0].contact != wide.contact).sum() > 20  # planted: where they overlap at rest, and no more
 
 
 def test_the_search_for_friction_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -275,22 +338,27 @@ def test_mirrored_poses_give_mirrored_answers() -> None:
     assert abs(right.force[0]) > 0.05 * scale
 
 
-@pytest.mark.parametrize(("profile", "bound"), [("flat", 0.01), ("dome", 0.04)])
-def test_no_energy_from_a_closed_path(profile: str, bound: float) -> None:
-    """Without friction: down, aside, up and back, over the work done on the way down.
-
-    1 % is asked of a sensor in a robot's simulator. A dome's layer has the thickness at the pressure's centre, for whose change no force
-    stands: 3 % over 3 mm (docs/live.md).
-    """
-    sensor = LiveSensor(scene(0.0, profile), image=False)
+@pytest.mark.parametrize("profile", ["flat", "dome"])
+def test_no_energy_from_a_closed_path(profile: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without friction: down, aside, up and back, over the work done on the way down. 1 % is asked of a sensor in a robot's simulator."""
     corners = np.array([[0, 0, -0.1], [0, 0, -0.6], [3, 1, -0.6], [3, 1, -0.3], [0, 0, -0.1]], float)
     path = np.concatenate([np.linspace(one, two, 25)[:-1] for one, two in zip(corners, corners[1:], strict=False)] + [corners[-1:]])
-    forces = np.array([at(sensor, *place).force for place in path])
-    work = ((forces[1:] + forces[:-1]) / 2 * np.diff(path, axis=0)).sum(axis=1)
-    assert abs(work.sum()) < bound * work[:24].sum()
-    assert work[:24].sum() > 0
+
+    def gained() -> tuple[float, np.ndarray]:
+        sensor = LiveSensor(scene(0.0, profile), image=False)
+        forces = np.array([at(sensor, *place).force for place in path])
+        work = ((forces[1:] + forces[:-1]) / 2 * np.diff(path, axis=0)).sum(axis=1)
+        assert work[:24].sum() > 0
+        return abs(work.sum()) / work[:24].sum(), forces
+
+    share, forces = gained()
+    assert share < 0.01
     forces[49:, 2] *= 1.1  # planted: a way back that is stiffer
-    assert abs(((forces[1:] + forces[:-1]) / 2 * np.diff(path, axis=0)).sum()) > bound * work[:24].sum()
+    work = ((forces[1:] + forces[:-1]) / 2 * np.diff(path, axis=0)).sum(axis=1)
+    assert abs(work.sum()) > 0.01 * work[:24].sum()
+    if profile == "dome":
+        monkeypatch.setattr(gel_layer, "work_and_less", lambda *_: (1.0, 0.0))  # planted: no force for the change of thickness
+        assert gained()[0] > 0.02
 
 
 def test_history_slide_release_and_reset() -> None:

@@ -28,6 +28,10 @@ WALK = ((0.0, 0.0, -0.2), (0.0, 0.0, -0.5), (0.15, 0.1, -0.5), (0.5, 0.1, -0.55)
 FORCE = 0.005
 """Of the force, between two solvers. Each leaves gaps of 1e-3 of the overlap, in which a ball's force goes with the power 1.5 to 2.5, and
 thickness and pressure settled to 5e-4; undersides are a map there, whose bilinear heights are 0.1² / 8R mm off, 5e-4 of the overlap."""
+HELD = 0.007
+"""Of the force, beside that, with friction: what it holds back of the face's spreading hangs on how all slipped before. Between the two
+that share differs by 0.1 where a ball has slid, of 0.35 of the mean indentation, a fifth of the thickness; a force goes with that h^-1 at
+least: 0.1 · 0.35 · 0.2."""
 SHEAR = 0.02
 """Of the force: twice the slip that is left over the motion, 2e-3, of each of some ten increments."""
 
@@ -69,7 +73,7 @@ def off(found: np.ndarray, known: np.ndarray) -> tuple[float, float]:
 @pytest.mark.parametrize("gel", [{"profile": "flat"}, {"profile": "dome", "edge_thickness_mm": 1.6}], ids=["flat", "dome"])
 def test_forces_are_those_of_each_alone(friction: float | str, gel: dict) -> None:
     found, known = forces(ball_scene(friction, **gel))
-    assert np.less(off(found, known), (FORCE, SHEAR)).all()
+    assert np.less(off(found, known), (FORCE + HELD * (friction != 0.0), SHEAR)).all()
     assert (found[5] == 0).all() and (found[-1, :, 2] < 0).all()
     if friction == 0.5:
         assert np.greater(off(*forces(ball_scene(0.6, **gel), ball_scene(0.5, **gel))), (0.0, SHEAR)).all()  # planted: another law

@@ -61,6 +61,7 @@ def test_it_neither_pulls_nor_exceeds_friction() -> None:
     patch = found.patch()
     assert not patch.wrench(np.array([0, 0, 5e-3, 0, 0, 0])).any()  # away by far
     dragged = patch.wrench(np.array([1e-3, 0, 0, 0, 0, 0]))
-    assert dragged[0] == pytest.approx(-0.5 * dragged[2], rel=0.01) and dragged[0] > 0  # cells at the rim held another way before
+    assert dragged[0] == pytest.approx(patch.bound.sum(), rel=0.01) and dragged[0] > 0  # cells at the rim held another way before
+    assert 1 < patch.bound.sum() / (-0.5 * dragged[2]) < 1 + 2 * 0.4 / 3.0  # by the slope, whose square is 2 d / R at the contact's edge
     spun = patch.wrench(np.array([0, 0, 0, 0, 0, 1.0]))
     assert 0 < spun[5] < 0.5 * -spun[2] * 2e-3  # below μN times the contact's radius
