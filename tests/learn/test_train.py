@@ -308,6 +308,20 @@ def test_a_pickled_payload_is_refused_and_not_run(tiny_run: Path, tmp_path: Path
     assert trace.exists()  # the payload is a live one
 
 
+def test_what_is_read_has_weights_in_half_precision(tiny_run: Path, tmp_path: Path) -> None:
+    """2⁻¹¹ of each at most, 2⁻²⁵ where they are tiny, what is one number exactly (planted: it too); what a training goes on from is as it was."""
+    kept = checkpoint.load(tiny_run / "last.pt")
+    kept.network["centre"] = torch.tensor(44.1)
+    for optimizer in (None, kept.optimizer):
+        checkpoint.save(tmp_path / "again.pt", replace(kept, optimizer=optimizer))
+        again = checkpoint.load(tmp_path / "again.pt")
+        assert all(tensor.dtype == torch.float32 for tensor in again.build().state_dict().values())
+        same = {name: torch.equal(again.network[name], tensor) for name, tensor in kept.network.items()}
+        assert all(same.values()) == (optimizer is not None) and same["centre"] and same["scale"]
+        for name, tensor in kept.network.items():
+            assert torch.allclose(again.network[name], tensor, rtol=2**-11, atol=2**-25)
+
+
 def test_damaged_and_foreign_checkpoints_are_refused(tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good = torch.load(tiny_run / "model.pt", weights_only=True)
 
