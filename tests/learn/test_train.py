@@ -309,7 +309,7 @@ def test_a_pickled_payload_is_refused_and_not_run(tiny_run: Path, tmp_path: Path
 
 
 def test_what_is_read_has_weights_in_half_precision(tiny_run: Path, tmp_path: Path) -> None:
-    """2⁻¹¹ of each at most, 2⁻²⁵ where they are tiny, what is one number exactly (planted: it too); what a training goes on from is as it was."""
+    """2⁻¹¹ of each at most, 2⁻²⁵ of tiny ones; what is one number exactly (planted: it too), and what a training goes on from."""
     kept = checkpoint.load(tiny_run / "last.pt")
     kept.network["centre"] = torch.tensor(44.1)
     for optimizer in (None, kept.optimizer):
