@@ -79,7 +79,7 @@ LOOPS: dict[str, list[Layer]] = {
 the ball is there again; of the others all that friction took."""
 STATES = 8
 """Of a leg."""
-PIECES = 4
+WORK_PIECES = 4
 """Of the way between two of them, where work is summed up: with one 6 %, with two 3 % of it is missing where the ball is lifted off."""
 
 
@@ -236,7 +236,7 @@ def looped(name: str, folder: Path) -> Row:
         first, last = 2 * STATES, 4 * STATES
         found, wanted = walked(scene, truth)[first:last], loop_area(truth, first, last)
     else:
-        found, wanted = walked(scene, truth, PIECES), truth.report.energy.dissipated_j
+        found, wanted = walked(scene, truth, WORK_PIECES), truth.report.energy.dissipated_j
     row = {"work_uj": wanted * 1e6, "live_uj": found.sum() * 1e6, "work_percent": 100 * (found.sum() / wanted - 1)}
     return {"status": SolveStatus.CONVERGED.name} | {key: float(f"{value:.3g}") for key, value in row.items()}
 

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from gelsim.fem.friction import slip_bound
+from gelsim.fem import friction as coulomb
 
 T = TypeVar("T")
 Values = NDArray[np.float32]
@@ -614,10 +614,10 @@ def slip_limit(friction: float, pressure: Any, shear: Any, slope: Any) -> Any:
         slope: ∇g of the face, one for each axis.
     """
     if friction >= STICK:
-        return slip_bound(friction, pressure)
+        return coulomb.slip_bound(friction, pressure)
     steep = 1.0 + slope[0] ** 2 + slope[1] ** 2
     normal = pressure + (shear[0] * slope[0] + shear[1] * slope[1]) / steep
-    return slip_bound(friction, 0.5 * (normal + abs(normal))) * steep**0.75 * (pressure > 0)
+    return coulomb.slip_bound(friction, 0.5 * (normal + abs(normal))) * steep**0.75 * (pressure > 0)
 
 
 def bounded(q: Values, bound: Values) -> Values:
