@@ -66,10 +66,6 @@ def _kind(value: Any) -> str:
     return f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, torch.Tensor) else type(value).__name__
 
 
-def _is_half(value: Any) -> bool:
-    return isinstance(value, torch.Tensor) and value.dtype == torch.float16
-
-
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Raises OSError."""
     content = {name: getattr(checkpoint, name) for name in checkpoint.__dataclass_fields__}
@@ -98,5 +94,7 @@ def load(path: Path) -> Checkpoint:
         raise LearnError(f"{path}: {error}") from None
     names = [name for name in Checkpoint.__dataclass_fields__ if name != "config"]
     parts: dict[str, Any] = {name: found.get(name) for name in names}
-    parts["network"] = {name: value.float() if _is_half(value) else value for name, value in parts["network"].items()}
+    parts["network"] = {
+        name: value.float() if getattr(value, "dtype", None) == torch.float16 else value for name, value in parts["network"].items()
+    }
     return Checkpoint(config, **parts)

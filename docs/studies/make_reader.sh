@@ -6,9 +6,9 @@
 # Presses of plan `varied` are made until 0.34 of the time, while the light fields of all sensors are measured; then test presses:
 # paper2017's rows in equal shares, natural objects left out, of two seeds with twelve sensors each. What is trained on is drawn into a
 # cache. Then `paper2017`, `varied` and, with the pictures changed more, `families` are trained on, side by side, 40 times through it or as
-# often as the time left allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where a third GPU is, and the networks of before read the
-# tests; at last the new ones, each and all together, and what counts as unlike is read from `gap`. OUT/log tells where it is, OUT/runs has
-# networks and tables. Called again it goes on with what is there.
+# often as the time left allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where there is a
+# third GPU, and the networks of before read the tests; at last the new ones do, each and all together, and what counts as unlike is read
+# from `gap`. OUT/log tells where it is, OUT/runs has networks and tables. Called again it goes on with what is there.
 # On four H200 with 64 cores: 5.2 presses a second, 35 videos drawn, 13 steps of 64 videos (`families` 7).
 # Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed), MOST (episodes), STEPS, DEVICE (cpu: a trial).
 set -u
@@ -75,15 +75,15 @@ read_rows() {  # NAME GPU MODEL...
 }
 passes=$(( 40 * $(wc -l <"$data/varied/meta/episodes.jsonl") / 64 )); allowed=$(( (all * 90 / 100 - SECONDS - 75) * 13 ))
 steps=${STEPS:-$(( passes < allowed ? passes : allowed ))}; say "trainings of $steps steps"
-train() {  # NAME FROM GPU SETTINGS
-    log "train_$1" on "$3" until_ 92 python3 -m learn.cli train --data "$data/varied" --init "$2" --out "$runs/$1" --force --cache "$cache" \
+train() {  # NAME GPU SETTINGS
+    log "train_$1" on "$2" until_ 92 python3 -m learn.cli train --data "$data/varied" --init "$1" --out "$runs/$1" --force --cache "$cache" \
         --batch "${BATCH:-64}" --rate 0.001 --warmup 150 --end-share 0.6 --drop 0.05 --gain 0.12 --gamma 0.1 --crop 0.08 --steps "$steps" \
-        --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers "$workers") "${@:4}"
+        --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers "$workers") "${@:3}"
     say "$1 trained"
 }
-train paper2017 paper2017 0 & trainings=($!)
-train varied varied 1 --seed 1 & trainings+=($!)
-train families families 2 --seed 2 --end-share 0.5 --drop 0.1 --gain 0.25 --gamma 0.25 --turn-deg 15 --mix 0.6 --shade 0.5 --border 0.1 \
+train paper2017 0 & trainings=($!)
+train varied 1 --seed 1 & trainings+=($!)
+train families 2 --seed 2 --end-share 0.5 --drop 0.1 --gain 0.25 --gamma 0.25 --turn-deg 15 --mix 0.6 --shade 0.5 --border 0.1 \
     --dirt 0.2 --texture 0.4 --codec-levels 12 --late 0.1 --hide-gel 0.4 & trainings+=($!)
 if [ "$gpus" -gt 2 ]; then
     log gap on 3 until_ 84 python3 -m gelsim dataset --plan "$out/gap_rows.toml" --seed 71 --episodes 480 --train-episodes 0 --device cuda \

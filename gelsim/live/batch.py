@@ -137,6 +137,7 @@ class LiveBatch:
         self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
         x, y = self._layers.x, self._layers.y
         self._arms = torch.stack([torch.ones_like(x), x, y]).flatten(1).T
+        self._rest_slope = self._layers.slope(self._rest)[:, None] if rest.any() else None
         self._places = [self._wp(part) for part in (x[0], y[:, 0], self._rest + RISE * DEEPEST * gel.thickness_mm)]
         """Of the cells' middles, and the heights up to which they are looked at [mm]."""
         self._fields = [whole_field(body)[0].grid(self.device) for body in self.objects]
@@ -367,10 +368,10 @@ class LiveBatch:
         layer, layers, state = self._layer, self._layers, self._state
         z = self._rest + state.moved[:, 2]
         slope = layers.slope(z)
-        if self._rest.any():
+        if self._rest_slope is not None:
             _, less = layers.work_and_less(state.thickness, state.pressure)
             pressed = state.pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
-            slope = slope - (less / (2.0 * pressed)) * layers.slope(self._rest)[:, None]
+            slope = slope - (less / (2.0 * pressed)) * self._rest_slope
         traction = state.shear + state.pressure[:, None] * slope.transpose(0, 1)
         traction = torch.cat([traction, -state.pressure[:, None]], 1)
         touching = state.pressure > 0
