@@ -156,7 +156,8 @@ class State:
         if not (self.gel.any() and self.pressure.any()):
             return slope
         _, less = gel_layer.work_and_less(self.window, self.pressure)
-        return slope - np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
+        slope -= np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
+        return slope
 
     @cached_property
     def field(self) -> Values:
@@ -431,7 +432,7 @@ class LiveSensor:
                 along, carried = window.bending(p, moved, rest)
                 last, bent = bent, window.dragged(along) + carried
                 turned = window.stiffness * float(np.linalg.norm((bent - last) * (p > 0)))
-                slip = met[:2] + bent - anchor
+                slip: Any = met[:2] + bent - anchor
                 q, left = gel_layer.shear(facing, slip, bound, held, float(np.linalg.norm((slip - dragged) * (p > 0))))
                 dragged = dragged + left - slip
                 met = np.stack([*(left + anchor - bent), met[2] + facing.lifted(q - held)])
