@@ -7,11 +7,11 @@ begins by turning an element inside out, is halved, from where it began (in a pr
 alone, its object moved along); after two easy steps it doubles again, to LONGEST_STEP at most. A leg that ends at a force has at each
 step's end the approach at which the normal force is its share of it, found by the secant rule.
 
-Of the short form, recorded states are equally spaced in approach. `force_n` ends it where the normal force reaches it, found by the secant
-rule; without `depth_mm` a search finds how far that is, and each recorded state is one step from its way; with shear or twist, whose share
-of the way is not known before, a second march records. Before, it ends where the object bears less and less, or has failed for some time
-and is far from bearing it: beyond a largest force lies another branch for every try. What ended a press its report says
-(`errors.PressEnd`).
+Of the short form, recorded states are equally spaced in approach. `force_n` ends it where the normal force reaches it, looked for on the
+power law through the two states around or before it; without `depth_mm` a search finds how far that is, and each recorded state is one step
+from its way, begun between two states of it; with shear or twist, whose share of the way is not known before, a second march records.
+Before, it ends where the object bears less and less, or has failed for some time and is far from bearing it: beyond a largest force lies
+another branch for every try. What ended a press its report says (`errors.PressEnd`).
 
 A march that finds no equilibrium further on may be gone on with by another: the same bodies with other contact points, or with volume held
 (strategy.py). That takes over the last equilibrium, finds it once more as its own discretisation has it, and goes on; what was recorded
@@ -51,7 +51,8 @@ Record = Callable[[PressProblem], Recorder]
 
 MAX_AUGMENTATIONS = 6  # a step; one is usual, as the multipliers start from the last two steps' extrapolation
 ROUGH_TOLERANCE = 0.1  # of the first solve of a step, before the multipliers move, which puts it as far out of balance again
-OVERLAP_MM = 15e-3  # overlap above which another augmentation is tried; the steps that follow lessen it too
+OVERLAP_MM = 15e-3  # overlap at points above which another augmentation is tried; the steps that follow lessen it too …
+SOFT_OVERLAP_MM = 8e-3  # … of soft objects, whose points are close: of rigid ones at `fast` more lies between them, which this lessens not
 CUT_MM = 0.1  # overlap of a step that had failed before, above which it has no answer; sharp rims into `fast` meshes keep up to that
 SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
@@ -226,6 +227,8 @@ class _March:
         self._previous: _State | None = None
         self._leg, self._spacing, self._smallest = 1, np.inf, 1.0
         self._rate = self._stiffness = self._approach = 0.0
+        self._before = 0.0, 0.0
+        """Approach [m] and normal force [N] of the equilibrium before the last."""
         self._snapped = False
         self._iterations = self._factorisations = self._wasted = 0
         self.most, self.gave_way = (0.0, 0.0), False
@@ -282,8 +285,7 @@ class _March:
             recorded = way.recorded[number] if number < len(way.recorded) else np.inf
             target = float(recorded if recorded <= end * (1 + 1e-12) else end)
             new = target if target - (here.time + step) < 1e-6 * spacing else here.time + step
-            if self.halved:
-                new = min(new, self._nearly_at_force())
+            new = min(new, self._at_force())
             if not (yield from self._attempt_step(here, new)):
                 if self._gives_way(self.normal_force, 1 - FORCE_TOLERANCE) or self._out_of_reach():
                     return self._end_here(progress)
@@ -293,7 +295,7 @@ class _March:
                 continue
             self.status, self.message = SolveStatus.CONVERGED, ""
             force = -problem.contact_force()[2]
-            if self.stop_n is not None and leg == 1 and force >= self.stop_n:
+            if self.stop_n is not None and leg == 1 and force >= (1 - FORCE_TOLERANCE) * self.stop_n:
                 found = yield from self._stop_at_force(here, new, force)
                 if found is None:
                     step, easy, self.halved = (new - here.time) / 2, 0, self.halved + 1
@@ -383,6 +385,7 @@ class _March:
         """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""
         travel = state.approach - self.approach
         self._rate = (force - self.normal_force) / travel if travel > 0.0 else 0.0
+        self._before = self.approach, self.normal_force
         self._stiffness = self._rate or self._stiffness
         self.most = max(self.most, (force, state.approach))
         self.here, self.time, self.approach, self.normal_force = state, state.time, state.approach, force
@@ -464,7 +467,7 @@ class _March:
         # was 0.6 % further from that of many steps
         report = yield Request(reach, ROUGH_TOLERANCE, whole=halvable and not again, brief=halvable)
         self._count(report)
-        overlap = np.inf
+        overlap, allowed = np.inf, OVERLAP_MM if problem.scene.object.rigid else SOFT_OVERLAP_MM
         for number in range(MAX_AUGMENTATIONS):
             if report.status is not SolveStatus.CONVERGED:
                 break
@@ -494,7 +497,7 @@ class _March:
                 yield Request(reach, solve=False)
                 break
             overlap = deepest
-            if overlap <= OVERLAP_MM:
+            if overlap <= allowed:
                 break
         folds = report.min_jacobian < FOLDED * here.min_jacobian and halvable
         through = again and overlap > CUT_MM
@@ -561,13 +564,12 @@ class _March:
         moved = relative @ (turned(turn) @ turned(way.turn[0]).T).T
         return moved - relative + [*shear, -approach * MM_PER_M]
 
-    def _nearly_at_force(self) -> float:
-        """A little beyond where the force that stops it is to be expected [s]: where steps fail, one much further may have no answer."""
+    def _at_force(self) -> float:
+        """Where the force that stops it is to be expected [s]."""
         if self.stop_n is None or self._rate <= 0.0 or self._leg > 1:
             return np.inf
-        speed = self._speed(self._leg)
-        ahead = max(1.2 * (self.stop_n - self.normal_force) / self._rate / speed, SMALLEST_STEP * self._spacing)
-        return self.time + ahead
+        ahead = _approach_of(self.stop_n, self._before, (self.approach, self.normal_force)) - self.approach
+        return self.time + max(ahead / self._speed(self._leg), SMALLEST_STEP * self._spacing if self.halved else 0.0)
 
     def _stop_at_force(self, here: _State, new: float, force: float) -> Generator[Request, NewtonReport, tuple[float, float] | None]:
         """The time [s] between `here` and `new` where the normal force is what stops it, and the force; the solids are left at it.
@@ -583,8 +585,10 @@ class _March:
         low, high = (here.time, self.normal_force), (new, force)
         beyond = self._state(new, approach(new), new - here.time)
         while abs(force - wanted) > FORCE_TOLERANCE * wanted and approach(high[0]) - approach(low[0]) > 1e-9:
-            fraction = np.clip((wanted - low[1]) / (high[1] - low[1]), 0.02, 0.98)
-            new = low[0] + float(fraction) * (high[0] - low[0])
+            ends = approach(low[0]), approach(high[0])
+            fraction = (_approach_of(wanted, (ends[0], low[1]), (ends[1], high[1])) - ends[0]) / (ends[1] - ends[0])
+            new = low[0] + float(np.clip(fraction, 0.02, 0.98)) * (high[0] - low[0])
+            self._previous = None if self._snapped else beyond
             if not (yield from self._attempt(here, new, approach(new))):
                 if high[0] - here.time >= 2 * SMALLEST_STEP * self._spacing and self._wasted <= self.problem.most_wasted:
                     return None
@@ -599,6 +603,14 @@ class _March:
         yield from self._return_to(beyond, LOOKED_MM + 2 * (approach(high[0]) - here.approach) * MM_PER_M)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
+
+
+def _approach_of(force: float, one: tuple[float, float], other: tuple[float, float]) -> float:
+    """The approach [m] of a normal force [N] on the power law through two states (approach, force); on a line where one bears none."""
+    (near, less), (far, more) = one, other
+    if min(near, less, far, more) <= 0.0 or (more - less) * (far - near) <= 0.0:
+        return near + (far - near) * (force - less) / (more - less)
+    return far * (force / more) ** (np.log(far / near) / np.log(more / less))
 
 
 class _Search(_March):
@@ -641,7 +653,7 @@ class _Search(_March):
             target = depth * number / (states - 1)
             before = max(int(np.searchsorted(places, target * (1 - 1e-9))) - 1, 0)
             here = self.trail[before]
-            self._previous = self.trail[before - 1] if before else None
+            self._previous = self.trail[before + 1] if before + 1 < len(self.trail) else None
             yield from self._return_to(here, LOOKED_MM)
             if number > 0 and not (yield from self._attempt(here, target / speed, target)):
                 return False

@@ -14,12 +14,15 @@ from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
 from gelsim.shape.rims import rims_on_gel
 
-MORE_POINTS = 12
-"""Quadrature points on a face where between six of them a face lets the other through. So do the sharp edges of a rigid object on meshes
-that resolve them: at `balanced` a star and a prism overlap by 62 and 25 µm in 185 and 56 iterations, with twelve by 19 and 19 in 50 and 44,
-for the same force. And the long faces of `fast` let through what is soft, smooth or not: of 97 random scenes 40 % overlap by at most 20 µm,
-with twelve 74 %, in as many iterations, forces 0.2 % apart in the median (`docs/studies/random_scenes.py --seeds 4001 --scenes 100`).
-Rigid edges at `fast` are 3 to 7 % stiffer with twelve, soft ones at `balanced` overlap by 11 µm for 8, in a sixth more iterations."""
+EDGE_POINTS = 12
+"""Quadrature points on a face where sharp edges of a rigid object touch the gel, on meshes that resolve them: at `balanced` a star and a
+prism overlap by 62 and 25 µm with six, in 185 and 56 iterations, with twelve by 19 and 19 in 50 and 44, for the same force; 48 change
+nothing. At `fast` twelve are 3 to 7 % stiffer there."""
+SOFT_POINTS = 48
+"""The same of what is soft at `fast`, whose faces may be shorter than the gel's, so that a middle of their sides pokes through between its
+points: by 239 µm of a ball with twelve, by 13 with 48. Of a hundred random scenes (`docs/studies/random_scenes.py --seeds 4001 --scenes
+100`) 74 % overlap by at most 20 µm with twelve, 92 % with 48, in as many iterations, forces 0.05 % apart in the median. At `balanced` six
+leave 11 µm, twelve 8 in a sixth more iterations."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Try:
     """Begins where the try before it ended, not at rest."""
 
 
-PLAIN, HELD = Try(), Try(12, held=20.0)
+PLAIN, HELD = Try(), Try(EDGE_POINTS, held=20.0)
 WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_wasted=SOON), HELD)
 """The tries that a press may have, one after the other until one reaches its end."""
 
@@ -44,8 +47,9 @@ WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_waste
 def contact_points(scene: Scene) -> int:
     """Quadrature points on a face of the gel with which a press is tried first."""
     coarse = scene.fidelity == "fast"
-    more = not coarse and len(rims_on_gel(scene)) > 0 if scene.object.rigid else coarse
-    return MORE_POINTS if more else PLAIN.contact_points
+    if scene.object.rigid:
+        return EDGE_POINTS if not coarse and len(rims_on_gel(scene)) else PLAIN.contact_points
+    return SOFT_POINTS if coarse else PLAIN.contact_points
 
 
 def tries(

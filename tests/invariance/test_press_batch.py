@@ -142,12 +142,12 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     bodies = [(one, *stages.bodies(one)) for one in scenes]
     presses = solve_batch(bodies, device="cpu", progress=lambda done, count: told.append((done, count)))
     # the next goes on with volume held, those after it begin at rest
-    assert [[one[0] for one in tries] for tries in asked] == [[12] * 4, [12] * 3, [12] * 2]
+    assert [[one[0] for one in tries] for tries in asked] == [[48] * 4, [48] * 3, [48] * 2]
     # what another follows gives up sooner
     assert patience == [[(SOON, False)] * 4, [(SOON, False)] * 3, [(MOST_WASTED, True)] * 2]
     assert asked[1][0][1] == asked[0][1][1] != asked[0][0][1]  # the second one's, by the softer body
     assert [press.report.tried for press in presses] == [1, 2, 3, 3]
-    assert [press.report.contact_points for press in presses] == [12, 12, 12, 12]
+    assert [press.report.contact_points for press in presses] == [48, 48, 48, 48]
     assert [press.report.went_on_from_mm for press in presses] == [(), (0.5,), (), ()]
     # with the friction that was asked for
     assert [[one[2] for one in tries] for tries in asked] == [[0.0, -1.0, 0.3, 0.1], [-1.0, 0.3, 0.1], [0.3, 0.1]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from fem_fixtures import TOLERANCE, cap_press, cap_scene, flat_gel, problem_of, rigid_body
+from fem_fixtures import TOLERANCE, cap_press, cap_scene, flat_gel, problem_of, rigid_body, soft_cap
 
 from gelsim.errors import SolveStatus
 from gelsim.fem.contact import LEFT_MM, ContactLaw, RigidContact, SurfaceContact
@@ -13,6 +13,7 @@ from gelsim.fem.field import exact_distance, sampled
 from gelsim.fem.planar.contact import EdgeContact
 from gelsim.fem.problem import PressProblem
 from gelsim.fem.quasistatic import run_press
+from gelsim.fem.strategy import EDGE_POINTS, SOFT_POINTS
 from gelsim.scene.definition import Body, Contact, Gel, Press, Scene
 
 AUGMENTATIONS = 12
@@ -89,6 +90,14 @@ def test_overlap_of_a_soft_object_is_seen_between_the_points() -> None:
     contact.update(positions, 1.0)
     assert contact.overlap(positions) == pytest.approx(0.1 * bulge * np.sqrt(1 + 2 * bulge**2), rel=1e-9)
     assert float(contact.gap.numpy().min()) > 0.0  # the planted fault: only at the points
+
+
+@pytest.mark.parametrize(("points", "least", "most"), [(SOFT_POINTS, 0.0, 20e-6), (EDGE_POINTS, 50e-6, np.inf)])
+def test_a_soft_object_of_shorter_faces_pokes_through_between_few_points(points: int, least: float, most: float) -> None:
+    """Gel faces of 2.1 mm, the cap's of 0.8 mm: as little overlap as is asked for [m]; the planted fault: few points."""
+    press = run_press(problem_of(cap_scene(30.0, 1.5, 4), flat_gel(2.1, 2.1), soft_cap(), contact_points=points))
+    assert press.status is SolveStatus.CONVERGED
+    assert least < press.penetration.max() < most
 
 
 def test_overlap_of_a_profile_is_seen_between_the_points() -> None:
