@@ -200,7 +200,7 @@ class Layer:
 
 
 def within(space: Values, shape: tuple[int, int]) -> NDArray[np.complex64]:
-    """Waves of a grid of a shape, (..., rows, columns / 2 + 1), by what a traction on a cell of a larger one moves as far away as it reaches."""
+    """Waves of a grid of a shape, (..., rows, columns / 2 + 1), by what a traction on the first cell of a larger one moves."""
     for axis, count in zip((-2, -1), shape, strict=True):
         if count < space.shape[axis]:
             space = np.moveaxis(space, axis, 0)

@@ -78,13 +78,14 @@ class Spring:
 
     def compliance(self, turn: Any, load: Any, low: Any, squash: Any) -> Any:
         """Of the object's motion as a whole, so placed: as of `SoftBody`, (..., 6, 6); for arrays of NumPy or torch alike."""
-        shares = ((low[..., None] - self.lows[:-1]) / (self.lows[1:] - self.lows[:-1])).clip(0.0, 1.0)
+        apart = (self.lows[1:] - self.lows[:-1]).clip(1e-9, None)  # none under a flat face
+        shares = ((low[..., None] - self.lows[:-1]) / apart).clip(0.0, 1.0)
         steps = self.compliances[1:] - self.compliances[:-1]
         left = (1.0 - squash / self.height).clip(0.0, None)
         column = 3.0 * left**2 / (1.0 + left + left**2)  # neo-Hookean: G (1/left² - left) for 3G (1 - left)
         own = (self.compliances[0] + (shares @ steps.reshape(-1, 36)).reshape(*low.shape, 6, 6)) * column[..., None, None]
-        # A load sinks by half of ∫ ψ² where the apex goes aside (of shear it does not: Haringx 1948), so a push there, first x then y, grows
-        # by `bowed` of where that goes, and by that of the growth: a series, whose sum is by the inverse of a matrix of two rows.
+        # A load sinks by half of ∫ ψ² where the apex goes aside (of shear it does not: Haringx 1948), so along x and y a push grows by
+        # `bowed` of how far it goes, and so on: a series, whose sum is by the inverse of a matrix of two rows.
         turns = own[..., [4, 3], [0, 1]] / own[..., [0, 1], [0, 1]]
         bowed = BOW * self.height * load[..., None] * turns**2
         grown = own[..., :2, :2] * bowed[..., None, :]
@@ -104,9 +105,10 @@ class Spring:
 def check_lean(where: str, upright: float) -> None:
     """Raises SceneError where a soft object leans by more than LEAN_DEG; `upright`: its axis along z."""
     if upright < math.cos(math.radians(LEAN_DEG)):
+        lean = math.degrees(math.acos(np.clip(upright, -1.0, 1.0)))
         raise SceneError(
-            f"{where}: the object leans by {math.degrees(math.acos(np.clip(upright, -1.0, 1.0))):.0f}°; a soft one is known about its apex, "
-            f"so allowed are {LEAN_DEG:g}°; turn it by object.rotation_deg, or set object.rigid = true"
+            f"{where}: the object leans by {lean:.0f}°; a soft one is known about its apex, so allowed are {LEAN_DEG:g}°; "
+            "turn it by object.rotation_deg, or set object.rigid = true"
         )
 
 
