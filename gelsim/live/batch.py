@@ -443,7 +443,7 @@ class LiveBatch:
                     break
                 place, owner, room, body = place[left], owner[left], room[left], body[left]
                 p, q, met, dragged, anchor, thickness = (v[left] for v in (p, q, met, dragged, anchor, thickness))
-                bent, now, same, sunk = bent[left], now[left], same[left], sunk[left]
+                bent, turned, now, same, sunk = (v[left] for v in (bent, turned, now, same, sunk))
                 placed = placed and placed.of(left)
             thickness = torch.where(same, thickness, now)
             ways, softest = layers.ways(thickness), layers.stiffness(thickness)
