@@ -418,9 +418,7 @@ class LiveBatch:
             met, dragged = layers.moved(facing, p, q), layers.dragged(facing, q)
         for round in range(single.ROUNDS):
             before = p
-            # Pressure is found for the room that shear leaves.
-            lift = met[:, 2] + layers.sunk(facing, p)
-            p, gap = layers.pressed(facing, room - lift, p, softest, -room.amin(dim=(1, 2), keepdim=True))
+            p, gap = layers.pressed(facing, room - met[:, 2], p, softest, -room.amin(dim=(1, 2), keepdim=True))
             total = p.sum(dim=(1, 2)).clamp(min=TINY).double()
             closer = gap - room
             sunk = closer if placed is None else -layers.moved(ways, p, q)[:, 2]

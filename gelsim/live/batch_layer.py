@@ -1,8 +1,7 @@
 """The baked gel of `gelsim.live.layer` for many sensors at once, in PyTorch: the same equations, each sensor with a thickness of its own.
 
 All is on the whole grid, where waves are exponentials and an FFT's product is exact, as the layer is periodic with the gel's size. Pressure
-and shear are both found by spectral projected gradients (Birgin, Martínez and Raydan 2000): one product a step, where conjugate gradients
-need two whenever the contact changes. Each sensor stops where it is good enough, so what it answers hangs on no other one.
+and shear are found as there. Each sensor stops where it is good enough, so what it answers hangs on no other one.
 
 What soft objects facing the gels do comes in by `Ways`: faces that look at each other add their answers, and springs beside them know of
 tractions nine sums alone, of each part that itself, times x and times y.
@@ -250,12 +249,17 @@ class Layers:
         launch(carried_along, (len(values), *self.shape), self._cell, values, drift, found)
         return found
 
-    def pressed(self, ways: Ways, room: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
-        """As `layer.pressure`: p ≥ 0 [kPa] with gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap. `deepest`: overlap (n, 1, 1) [mm]."""
-        some = start.amax(dim=(1, 2), keepdim=True) > 0
-        p = torch.where(some, start, (room < 0) * (self.modulus * 1e-3))
-        gap = room + self.sunk(ways, p)
-        self._descend(press_on, [single.GAP_TOLERANCE * deepest], [p, gap], softest, lambda move: self.sunk(ways, move))
+    def pressed(self, ways: Ways, gap: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
+        """As `layer.pressure`: p ≥ 0 [kPa] with gap ≥ 0 and p gap = 0; and that gap.
+
+        Args:
+            gap: Under the first guess [mm].
+            start: A first guess.
+            deepest: Overlap (n, 1, 1) [mm].
+        """
+        p, gap = start.clone(memory_format=torch.contiguous_format), gap.contiguous()
+        known = torch.cat([single.GAP_TOLERANCE * deepest, softest, softest.new_zeros((len(p), 1, 3))], dim=-1)
+        self._descend(press_on, [], [p, gap, torch.zeros_like(p), known], torch.ones_like(softest), lambda move: self.sunk(ways, move))
         return p, gap
 
     def sheared(self, ways: Ways, slip: Tensor, bound: Tensor, start: Tensor, away: Tensor, softest: Tensor) -> tuple[Tensor, Tensor]:
@@ -268,13 +272,13 @@ class Layers:
 
     @staticmethod
     def _descend(kernel: Any, given: list[Tensor], found: list[Tensor], step: Tensor, answer: Callable[[Tensor], Tensor]) -> None:
-        """Spectral projected gradients, of a quadratic function: a place and the gradient there, to the least of what is allowed.
+        """A place and the gradient there, to the least of what is allowed of a quadratic function.
 
         Args:
-            kernel: A step of them, `batch_kernels.press_on` or `shear_on`.
+            kernel: A step of a gradient method, `batch_kernels.press_on` or `shear_on`.
             given: Its first fields.
-            found: Place and gradient, whose memory has no gaps; moved on.
-            step: Along the gradient, the first time, (n, 1, 1).
+            found: Place and gradient and what it remembers, whose memory has no gaps; moved on.
+            step: Its last field, 0 of those that are done, (n, 1, 1).
             answer: What a change of place adds to the gradient.
         """
         step = step.clone()

@@ -7,20 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
+from numpy.typing import NDArray
 from test_baked import flat_scene
 from test_lightfield import linear_field
 
 import gelsim
 from gelsim.errors import RenderError, SceneError
-from gelsim.live import layer
-from gelsim.live.sensor import LiveSensor
+from gelsim.live import layer, soft
+from gelsim.live.sensor import STILL_MM, LiveSensor
+from gelsim.live.underside import Underside
 from gelsim.optics import bake
 from gelsim.scene.definition import Body, Gel, Markers, Scene
 
 torch = pytest.importorskip("torch")
 from gelsim.live import batch_layer  # noqa: E402
 from gelsim.live.batch import BatchFrame, LiveBatch  # noqa: E402
-from gelsim.live.batch_layer import Layers  # noqa: E402
+from gelsim.live.batch_kernels import undersides  # noqa: E402
+from gelsim.live.batch_layer import Answers, Layers  # noqa: E402
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 WALK = ((0.0, 0.0, -0.2), (0.0, 0.0, -0.5), (0.15, 0.1, -0.5), (0.5, 0.1, -0.55), (0.2, 0.1, -0.4), (0.2, 0.1, 0.3), (0.2, 0.0, -0.3))
@@ -40,6 +43,19 @@ def ball_scene(friction: float | str = 0.5, **gel: object) -> Scene:
     ball = Body(shape="hemisphere", radius_mm=4.0, height_mm=6.0, rigid=True)
     made = flat_scene(gel=Gel(**({"size_mm": (12.8, 10.0), "thickness_mm": 2.4, "profile": "flat"} | gel)), object=ball, markers=Markers())
     return made.replace(contact=replace(made.contact, friction_coefficient=friction))
+
+
+SOFT = {
+    "ball": {"shape": "hemisphere", "radius_mm": 4.0, "height_mm": 6.0},
+    "cylinder": {"shape": "cylinder", "radius_mm": 3.0, "length_mm": 5.0, "height_mm": 5.0},
+    "punch": {"shape": "punch", "radius_mm": 2.5, "height_mm": 2.0},
+    "box": {"shape": "box", "width_mm": 3.0, "length_mm": 4.0, "height_mm": 2.5},
+}
+DOME = {"profile": "dome", "edge_thickness_mm": 1.6}
+
+
+def soft_scene(kind: str, friction: float | str = 0.5, **gel: object) -> Scene:
+    return ball_scene(friction, **gel).replace(object=Body(**SOFT[kind], shore_00=30.0))
 
 
 def about(axis: int, degrees: float) -> tuple[float, ...]:
@@ -63,6 +79,15 @@ def forces(scene: Scene, alone: Scene | None = None) -> tuple[np.ndarray, np.nda
     return np.array(found), np.array(known)
 
 
+def as_the_batch(self: Underside, turn: np.ndarray, shift: np.ndarray, x: np.ndarray, y: np.ndarray) -> NDArray[np.float32]:
+    """`Underside.heights` traced, not of a map, which shifts rims by up to half a cell: of a punch that is 3 % of the force."""
+    found = wp.zeros((1, len(y), len(x)), float, device="cpu")
+    placed = wp.array(turn[None], wp.mat33d, device="cpu"), wp.array(shift[None], wp.vec3d, device="cpu")
+    across = [wp.array(way, float, device="cpu") for way in (x, y, np.full((len(y), len(x)), 1.0))]
+    wp.launch(undersides, found.shape, [self._field.grid("cpu"), *placed, *across, found], device="cpu")
+    return found.numpy()[0]
+
+
 def off(found: np.ndarray, known: np.ndarray) -> tuple[float, float]:
     """Largest difference over the largest force of a walk, along z and along the gel."""
     apart = np.abs(found - known).max(axis=(0, 1)) / np.abs(known[..., 2]).max()
@@ -77,6 +102,41 @@ def test_forces_are_those_of_each_alone(friction: float | str, gel: dict) -> Non
     assert (found[5] == 0).all() and (found[-1, :, 2] < 0).all()
     if friction == 0.5:
         assert np.greater(off(*forces(ball_scene(0.6, **gel), ball_scene(0.5, **gel))), (0.0, SHEAR)).all()  # planted: another law
+
+
+@pytest.mark.parametrize(
+    ("kind", "friction", "gel"),
+    [
+        ("ball", 0.5, {}),
+        ("ball", "stick", DOME),
+        ("ball", 0.0, DOME),
+        ("cylinder", 0.5, DOME),
+        ("punch", 0.5, {}),
+        ("punch", 0.0, {}),
+        ("box", 0.5, DOME),
+        ("box", "stick", {}),
+    ],
+)
+def test_soft_ones_give_way_as_each_alone(kind: str, friction: float | str, gel: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the same undersides; where the apex has gone, up to twice the motion at which both stop to look, and heights as of rigid ones."""
+    monkeypatch.setattr(Underside, "heights", as_the_batch)
+    scene = soft_scene(kind, friction, **gel)
+    many, one = LiveBatch(scene, 2, image=False, device="cpu"), [LiveSensor(scene, image=False) for _ in range(2)]
+    found, known, most = [], [], 0.0
+    for x, y, z in WALK:
+        poses = [pose(x, y, z), pose(-x, y, z, about(2, 20.0 * x))]
+        frame, each = many.step(np.array(poses), 0.01), [sensor.step(where, 0.01) for sensor, where in zip(one, poses, strict=True)]
+        found.append(frame.force[:, 0].numpy())
+        known.append([alone.force for alone in each])
+        for mine, alone, sensor in zip(range(2), each, one, strict=True):
+            apart = frame.height[mine].numpy() - alone.height
+            assert np.sqrt((apart**2).mean()) < 1e-6
+            assert many._state.aside[mine].numpy() == pytest.approx(sensor._state.bent, abs=2 * STILL_MM)
+            assert ((frame.contact[mine].numpy() >= 0) != alone.contact).sum() <= 0.05 * alone.contact.sum()
+            most = max(most, float(np.abs(sensor._state.bent).max()))
+    assert np.less(off(np.array(found), np.array(known)), (FORCE + HELD * (friction != 0.0), SHEAR)).all()
+    assert (found[5] == 0).all() and (found[-1][:, 2] < 0).all()
+    assert friction == 0.0 or most > 10 * STILL_MM  # it does bend
 
 
 def test_a_block_of_threads_shares_a_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,8 +267,8 @@ def test_bad_input_is_named_and_leaves_the_gels_as_they_were() -> None:
         LiveBatch(scene, 0)
     with pytest.raises(SceneError, match="objects"):
         LiveBatch(scene, 1, ())
-    with pytest.raises(SceneError, match="rigid"):
-        LiveBatch(scene, 1, (replace(scene.object, rigid=False),), image=False)
+    with pytest.raises(SceneError, match="several with rigid = true, or a single soft one"):
+        LiveBatch(scene, 1, (scene.object, soft_scene("ball").object), image=False)
     if not torch.cuda.is_available():
         with pytest.raises(RenderError, match="no GPU"):
             gelsim.LiveBatch(scene, 1, device="cuda")
