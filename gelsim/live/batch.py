@@ -183,7 +183,8 @@ class LiveBatch:
         self._places = [self._wp(part) for part in (x[0], y[:, 0], self._rest + RISE * DEEPEST * gel.thickness_mm)]
         """Of the cells' middles, and the heights up to which they are looked at [mm]."""
         self._fields = [whole_field(body)[0].grid(self.device) for body in self.objects]
-        self._spring, self._opposite = (None, None) if self.objects[0].rigid else self._soft(float(rest.max() - rest.min()))
+        rigid = all(body.rigid for body in self.objects)
+        self._spring, self._opposite = (None, None) if rigid else self._soft(float(rest.max() - rest.min()))
         self._centres = torch.as_tensor(marker_layout(scene).centres * MM_PER_M, device=self.device)
         self._draws = image
         self._shown: tuple[State, Tensor] | None = None
@@ -425,7 +426,7 @@ class LiveBatch:
             back = layers.held_back(p, met[:, :2] - dragged, dragged) if self._friction else torch.zeros_like(p[:, :1, :1])
             now = gel.thickness_mm + (p * (rest - single.THINNING * back * sunk)).sum(dim=(1, 2)).double() / total
             same = (now / thickness - 1).abs() < single.SETTLED
-            if placed is not None:
+            if placed is not None and self._spring is not None:
                 low, squash = ((p * way).sum(dim=(1, 2)).double() / total for way in (placed.above, closer - sunk))
                 height = self._spring.height
                 own = torch.stack([low, height - low - single.THINNING * back.flatten() * squash, squash], 1)
@@ -490,7 +491,10 @@ class LiveBatch:
 
     def _facing(self, ways: Ways, body: Tensor, springs: Tensor) -> Ways:
         """Of gels against what they touch."""
-        return ways if self._opposite is None else Ways(ways.answers + self._opposite.at(body[:, 1]), springs)
+        if self._opposite is None:
+            return ways
+        thickness = body[:, 1].clamp(min=self._flattest)  # of one that is flatter while it is looked for; at last it is refused
+        return Ways(ways.answers + self._opposite.at(thickness), springs)
 
     def _frame(self) -> BatchFrame:
         layer, layers, state = self._layer, self._layers, self._state
