@@ -1,10 +1,10 @@
 """How many frames a second do many live sensors give at once (`gelsim.LiveBatch`), and how much of the memory's bandwidth is that?
 
-    python docs/studies/live_batch.py [--device cuda] [--sensors 64 256 1024] [--profile PROFILE.txt]
+    python docs/studies/live_batch.py [--device cuda] [--sensors 64 256 1024] [--soft] [--profile PROFILE.txt]
 
-Rigid balls of R 7 mm are pressed by steps of 20 µm, each at its own place, then drawn along, with friction 0.5 on gels of 128 × 128
-cells; rates are of the second half of both, after a first walk. Least bytes: what the layer's products alone read and write if each field
-passes once (forward FFT, product, FFT back), over the time; beside it a large copy's.
+Balls of R 7 mm, rigid or of Shore 00-30, are pressed by steps of 20 µm, each at its own place, then drawn along, with friction 0.5 on gels
+of 128 × 128 cells; rates are of the second half of both, after a first walk. Least bytes: what the layer's products alone read and write if
+each field passes once (forward FFT, product, FFT back), over the time; beside it a large copy's.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--sensors", type=int, nargs="+", default=[64, 256, 1024])
     parser.add_argument("--no-pictures", dest="pictures", action="store_false")
+    parser.add_argument("--soft", action="store_true")
     parser.add_argument("--profile", help="file for PyTorch's profile of a step of the most sensors")
     args = parser.parse_args()
     moved = {"bytes": 0.0}
@@ -50,13 +51,13 @@ def main() -> None:
     rows = []
     for sensors in args.sensors:
         for pictures in (False, True)[: 1 + args.pictures]:
-            rows.append(measured(sensors, pictures, args.device, moved))
+            rows.append(measured(sensors, pictures, args.device, args.soft, moved))
             print(rows[-1], flush=True)
     kind = "cpu" if rows[0]["device"] == "cpu" else torch.cuda.get_device_name()
     print("\n".join(table(tuple((name, name) for name in rows[0] if name != "device"), rows)))
     print(f"{kind}; a copy: {copy_bandwidth(rows[0]['device']) / 1e9:.0f} GB/s")
     if args.profile:
-        batch, walk = made(args.sensors[-1], False, args.device)
+        batch, walk = made(args.sensors[-1], False, args.device, args.soft)
         for poses in walk[:10]:
             batch.step(poses, 0.01)
         with torch.profiler.profile() as profile:
@@ -67,11 +68,11 @@ def main() -> None:
             file.write(profile.key_averages().table(sort_by=by, row_limit=40))
 
 
-def made(sensors: int, pictures: bool, device: str) -> tuple[LiveBatch, list[torch.Tensor]]:
+def made(sensors: int, pictures: bool, device: str, soft: bool) -> tuple[LiveBatch, list[torch.Tensor]]:
     """A batch, and poses (sensors, 1, 7) step by step, on its device."""
     scene = build_scene({
         "gel": {"profile": "flat", "thickness_mm": 2.4, "size_mm": [25.6, 25.6]},
-        "object": {"shape": "hemisphere", "radius_mm": 7.0, "height_mm": 10.0, "rigid": True},
+        "object": {"shape": "hemisphere", "radius_mm": 7.0, "height_mm": 10.0} | ({"shore_00": 30.0} if soft else {"rigid": True}),
         "contact": {"friction_coefficient": 0.5},
         "render": {"resolution": [160, 120]},
     })  # fmt: skip
@@ -92,8 +93,8 @@ def wait(batch: LiveBatch) -> None:
         torch.cuda.synchronize()
 
 
-def measured(sensors: int, pictures: bool, device: str, moved: dict[str, float]) -> Row:
-    batch, walk = made(sensors, pictures, device)
+def measured(sensors: int, pictures: bool, device: str, soft: bool, moved: dict[str, float]) -> Row:
+    batch, walk = made(sensors, pictures, device, soft)
     seconds, counted = 0.0, 0.0
     for turn in range(2):
         batch.reset()

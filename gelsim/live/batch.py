@@ -1,4 +1,4 @@
-"""`gelsim.LiveBatch`: many live sensors of one kind at once, each with the same rigid objects at poses of its own; on a GPU or the CPU.
+"""`gelsim.LiveBatch`: many live sensors of one kind at once, each with the same objects at poses of its own; on a GPU or the CPU.
 
     batch = gelsim.LiveBatch(gelsim.load_scene("scenes/press_ball_rigid.toml"), 1024, device="cuda")
     frame = batch.step(poses, dt=0.01)     # (1024, 1, 7), NumPy or torch; what comes out stays on the device
@@ -6,7 +6,7 @@
 Each sensor answers as `gelsim.LiveSensor` would, and as if the others were not there (`gelsim.live.batch_layer`, `batch_kernels`). Of
 several objects the gel meets over each cell the one that is lowest there.
 
-Left out, beside what a live sensor leaves out: a patch for implicit steps (`LiveSensor.patch`).
+Left out, beside what a live sensor leaves out: a patch for implicit steps (`LiveSensor.patch`), and a soft object beside others.
 """
 
 from __future__ import annotations
@@ -23,7 +23,20 @@ import warp as wp
 from gelsim.errors import RenderError, SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as single
-from gelsim.live.sensor import DEEPEST, MOST_TRAVEL_MM, RISE, STUCK, baked_gel, check_overlap, check_scene, check_time
+from gelsim.live import soft
+from gelsim.live.layer import Layer
+from gelsim.live.sensor import (
+    BENDINGS,
+    DEEPEST,
+    MOST_TRAVEL_MM,
+    RISE,
+    STILL_MM,
+    STUCK,
+    baked_gel,
+    check_overlap,
+    check_scene,
+    check_time,
+)
 from gelsim.live.underside import whole_field
 from gelsim.membrane.markers import marker_layout
 from gelsim.optics.camera import project
@@ -37,13 +50,15 @@ except ImportError as error:
     raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
 
 from gelsim.live.batch_kernels import FAR_MM, undersides
-from gelsim.live.batch_layer import TINY, Layers, bounded, read, stream
+from gelsim.live.batch_layer import TINY, Answers, Layers, Ways, bounded, read, stream
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
 
 LEVELS = 3
 """Heights at which the camera's projection is known; between them a parabola."""
+FLATTEST = 0.05
+"""Of a soft object's height: a layer no thicker counts as pressed flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +101,16 @@ class State:
     bound: Tensor
     owner: Tensor
     """Number of the object that is lowest over a cell, int8."""
+    body: Tensor
+    """Of a soft object `SoftBody.low`, `thickness` and `squash` (n, 3) [mm]."""
+    springs: Tensor
+    """As of `Ways`, (n, 9, 9)."""
+    aside: Tensor
+    """As `gelsim.live.sensor.State.bent`, (n, 2) [mm]."""
+
+    def load(self, layer: Layer) -> Tensor:
+        """Normal forces (n,) [mN]."""
+        return self.pressure.sum(dim=(1, 2)).double() * (layer.cell[0] * layer.cell[1])
 
     def of(self, which: Tensor) -> State:
         """Of some sensors."""
@@ -96,8 +121,26 @@ class State:
         return State(*(getattr(self, f.name).index_copy(0, which, getattr(other, f.name)) for f in fields(self)))
 
 
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A soft object before each of n gels, as it is taken for an increment: as `gelsim.live.soft.Spring.placed` does."""
+
+    turn: Tensor
+    """(n, 3, 3)."""
+    apex: Tensor
+    """(n, 2) [mm]."""
+    load: Tensor
+    """(n,) [mN]."""
+    above: Tensor
+    """Its height above the apex over the cells (n, rows, columns) [mm]."""
+
+    def of(self, which: Tensor) -> Placed:
+        """Of some sensors."""
+        return Placed(self.turn[which], self.apex[which], self.load[which], self.above[which])
+
+
 class LiveBatch:
-    """n gels with their cameras, and rigid objects that move in the frame of each."""
+    """n gels with their cameras, and objects that move in the frame of each: of a soft one the base does."""
 
     def __init__(
         self, scene: Scene, sensors: int, objects: Sequence[Body] | None = None, *, image: bool = True, device: str = "auto"
@@ -107,11 +150,11 @@ class LiveBatch:
         Args:
             scene: Its gel, contact, camera, lights, coating and markers count; its press does not.
             sensors: n.
-            objects: Rigid; without them the scene's own.
+            objects: Rigid ones, or one that is soft; without them the scene's own.
             image: Draw pictures each step.
             device: "auto" | "cpu" | "cuda".
         Raises:
-            SceneError: An object is not rigid, or the gel is viscous.
+            SceneError: One of several objects is soft, or a soft one or the gel is what a live sensor refuses.
             RenderError: CUDA was asked for and is not there.
         """
         if not isinstance(sensors, int) or sensors < 1:
@@ -120,8 +163,8 @@ class LiveBatch:
         if not self.objects:
             raise SceneError("objects = []: a batch has 1 or more; leave it out for the scene's own")
         for body in self.objects:
-            if not body.rigid:
-                raise SceneError("object.rigid = false: a batch takes rigid ones; set object.rigid = true, or use gelsim.LiveSensor")
+            if not body.rigid and len(self.objects) > 1:
+                raise SceneError("objects: one of several is soft; allowed are several with rigid = true, or a single soft one")
             check_scene(replace(scene, object=body), "a live sensor", "gelsim.press")
         if device == "cuda" and not torch.cuda.is_available():
             raise RenderError("device = 'cuda': PyTorch finds no GPU here; use device = 'cpu' or 'auto'")
@@ -136,17 +179,30 @@ class LiveBatch:
         thinnest = max(gel.thickness_mm * (1.0 - single.THINNING * DEEPEST) + float(rest.min()), 0.05 * gel.thickness_mm)
         self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
         x, y = self._layers.x, self._layers.y
-        self._arms = torch.stack([torch.ones_like(x), x, y]).flatten(1).T
         self._rest_slope = self._layers.slope(self._rest)[:, None] if rest.any() else None
         self._places = [self._wp(part) for part in (x[0], y[:, 0], self._rest + RISE * DEEPEST * gel.thickness_mm)]
         """Of the cells' middles, and the heights up to which they are looked at [mm]."""
         self._fields = [whole_field(body)[0].grid(self.device) for body in self.objects]
+        rigid = all(body.rigid for body in self.objects)
+        self._spring, self._opposite = (None, None) if rigid else self._soft(float(rest.max() - rest.min()))
         self._centres = torch.as_tensor(marker_layout(scene).centres * MM_PER_M, device=self.device)
         self._draws = image
         self._shown: tuple[State, Tensor] | None = None
         if image:
             _ = self._drawer  # measures the light now
         self.reset()
+
+    def _soft(self, drop: float) -> tuple[soft.Spring, Answers]:
+        """The soft object's springs, on the device; and its layers' answers over the gel, which drops by so much [mm]."""
+        gel, body = self._scene.gel, self.objects[0]
+        spring = soft.spring(self._scene.replace(object=body), self._layer)
+        lean, points = math.radians(soft.LEAN_DEG), whole_field(body)[1]
+        below = float((np.hypot(points[:, 0], points[:, 1]) * math.sin(lean) - points[:, 2] * math.cos(lean)).max())
+        lower = (1.0 + RISE + single.THINNING) * DEEPEST * gel.thickness_mm + drop
+        self._flattest = max(spring.height - lower, FLATTEST * spring.height)
+        opposite = Answers(spring.layer, self._flattest, spring.height + below, self.device, facing=self._layer.shape)
+        lows, compliances = (torch.as_tensor(values, device=self.device) for values in (spring.lows, spring.compliances))
+        return replace(spring, lows=lows, compliances=compliances), opposite
 
     @staticmethod
     def _wp(values: Tensor, kind: Any = wp.float32) -> wp.array:
@@ -159,7 +215,16 @@ class LiveBatch:
             nothing = torch.zeros((n, 3, rows, columns), device=device)
             thickness = torch.full((n,), float(self._scene.gel.thickness_mm), device=device, dtype=torch.float64)
             owner = torch.full((n, rows, columns), -1, dtype=torch.int8, device=device)
-            self._state = State(thickness, nothing[:, 0], nothing[:, :2], nothing, nothing[:, :2], nothing[:, :2], nothing[:, 0], owner)
+            self._unpressed = torch.zeros(3, device=device, dtype=torch.float64)
+            if self._spring is not None:
+                self._unpressed[1] = self._spring.height
+            body = (
+                self._unpressed.repeat(n, 1),
+                torch.zeros((n, 9, 9), device=device),
+                torch.zeros((n, 2), device=device, dtype=torch.float64),
+            )
+            of_face = nothing[:, 0], nothing[:, :2], nothing, nothing[:, :2], nothing[:, :2], nothing[:, 0]
+            self._state = State(thickness, *of_face, owner, *body)
             self._turn = torch.eye(3, dtype=torch.float64, device=device).repeat(n, len(self.objects), 1, 1)
             self._shift = torch.zeros((n, len(self.objects), 3), dtype=torch.float64, device=device)
             self._clear = torch.zeros((n, len(self.objects)), device=device)
@@ -167,16 +232,15 @@ class LiveBatch:
             return
         mask = torch.zeros(n, dtype=torch.bool, device=device)
         mask[torch.as_tensor(which, device=device)] = True
-        self._release(mask)
+        self._state = self._released(self._state, mask)
         self._known &= ~mask
         self._clear = torch.where(mask[:, None], 0.0, self._clear)
 
-    def _release(self, mask: Tensor) -> None:
-        state = self._state
+    def _released(self, state: State, mask: Tensor) -> State:
+        """With some sensors (n,) that touch nothing."""
         values = {f.name: getattr(state, f.name) for f in fields(state)}
-        empty = {"thickness": float(self._scene.gel.thickness_mm), "owner": -1}
-        kept = {k: torch.where(mask.view(-1, *(1,) * (v.ndim - 1)), empty.get(k, 0), v).to(v.dtype) for k, v in values.items()}
-        self._state = State(**kept)
+        empty = {"thickness": float(self._scene.gel.thickness_mm), "owner": -1, "body": self._unpressed}
+        return State(**{k: torch.where(mask.view(-1, *(1,) * (v.ndim - 1)), empty.get(k, 0), v).to(v.dtype) for k, v in values.items()})
 
     def step(self, poses: Any, dt: float) -> BatchFrame:
         """Moves the objects to poses and says what the sensors see and feel there; `LiveSensor.step` has the rules.
@@ -186,22 +250,25 @@ class LiveBatch:
                 (n, 7) of one object: NumPy or torch, on any device.
             dt: Time since the last poses [s]. The gel is elastic: it must be positive, and changes nothing.
         Raises:
-            SceneError: Poses are no poses or dt no time, or an object is deeper than DEEPEST of the gel's thickness.
+            SceneError: Poses are no poses or dt no time, or an object is deeper than DEEPEST of the gel's thickness, or soft and leans far.
         """
         check_time(dt)
         turn, shift = self._poses(poses)
-        heights, owner = self._seen(turn, shift)
+        heights, owner = self._seen(turn, shift, self._state.aside)
         self._check(heights)
         way = self._way(turn, shift)
         pieces = (way / MOST_TRAVEL_MM).ceil().clamp(min=1.0)
         most = int(pieces.max()) if self._friction else 1
-        begin = self._turn, self._shift
-        for piece in range(1, most):
-            part = (piece / pieces).double()[:, None]
-            going = piece < pieces
-            there = _between(*begin, turn, shift, part)
-            self._move(going, *there, *self._seen(*there))
-        self._move(torch.ones_like(self._known), turn, shift, heights, owner)
+        begin = before = self._state, self._turn, self._shift, self._clear, self._known
+        try:
+            for piece in range(1, most):
+                part = (piece / pieces).double()[:, None]
+                there = _between(*begin[1:3], turn, shift, part)
+                self._increment(piece < pieces, *there, *self._seen(*there, self._state.aside))
+            self._increment(torch.ones_like(self._known), turn, shift, heights, owner)
+        except SceneError:
+            self._state, self._turn, self._shift, self._clear, self._known = before  # poses that are refused leave no trace
+            raise
         return self._frame()
 
     def image(self) -> Tensor:
@@ -241,8 +308,14 @@ class LiveBatch:
         ], -1).unflatten(-1, (3, 3))  # fmt: skip
         return turn, values[..., :3] * MM_PER_M
 
-    def _seen(self, turn: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-        """Heights of the objects [mm] over the grid, (n, objects, rows, columns), and which of them is the lowest, (n, rows, columns)."""
+    def _seen(self, turn: Tensor, shift: Tensor, aside: Tensor) -> tuple[Tensor, Tensor]:
+        """Heights of the objects [mm] over the grid, (n, objects, rows, columns), and which of them is the lowest, (n, rows, columns).
+
+        Args:
+            aside: How a soft object is bent.
+        """
+        if self._spring is not None:
+            shift = torch.cat([shift[..., :2] + aside[:, None], shift[..., 2:]], -1)
         found = torch.empty((len(self.objects), self._count, *self._layer.shape), device=self.device)
         for body, field in enumerate(self._fields):
             poses = self._wp(turn[:, body], wp.mat33d), self._wp(shift[:, body], wp.vec3d)
@@ -276,93 +349,152 @@ class LiveBatch:
             found = moved if turn.shape[1] == 1 else torch.where((owner == body)[:, None], moved, found)
         return found
 
-    def _move(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor) -> None:
-        """One increment: pressure, shear and thickness that go with each other at the new poses, of the sensors that go on."""
+    def _increment(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor) -> None:
+        """One, of the sensors that go on; again from where a soft object's apex lies once it is bent, up to BENDINGS times."""
         each = (heights - self._rest).amin(dim=(2, 3))
-        height = heights.amin(dim=1)
-        room = height - self._rest
-        lowest = each.amin(dim=1)
-        touching = going & (lowest < 0)
-        if bool((leaving := going & ~touching).any()):
-            self._release(leaving)
-        which = torch.nonzero(touching)[:, 0]
-        if len(which):
-            state = self._state.of(which)
-            if self._friction:
-                over = torch.where(height[which] < FAR_MM / 2, height[which], 0.0)
-                here = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, over), 1)
-                one, other = (turn[which], shift[which]), (self._turn[which], self._shift[which])
-                drift = (here - self._carried(here, owner[which], one, other))[:, :2]
-                # Of a way that began in the air, the part from first touch on.
-                share = torch.where(each < 0, each / (each - self._clear).clamp(max=-1e-9), 0.0)[which]
-                by_cell = torch.gather(share, 1, owner[which].long().flatten(1)).view_as(here[:, 0])
-                drift = torch.where(self._known[which][:, None, None, None], drift * by_cell[:, None], 0.0)
-                state = replace(state, anchor=self._layers.carried_along(state.anchor, drift))
-            self._state = self._state.put(which, self._solved(state, room[which], owner[which]))
+        known, found = self._state, self._moved(going, turn, shift, heights, owner, self._state)
+        again = going
+        for _ in range(BENDINGS if self._spring is not None else 0):
+            again = again & ((found.aside - known.aside).norm(dim=1) >= STILL_MM)
+            if not bool(again.any()):
+                break
+            heights, owner = self._seen(turn, shift, found.aside)
+            each = torch.where(again[:, None], (heights - self._rest).amin(dim=(2, 3)), each)
+            known, found = found, self._moved(again, turn, shift, heights, owner, found)
+        if self._spring is not None:
+            worst = int(found.body[:, 1].argmin())
+            soft.check_flat(f"poses[{worst}]", float(found.body[worst, 1]), self._spring.height, self._flattest)
         at = going[:, None]
+        self._state, self._known = found, self._known | going
         self._turn, self._shift = torch.where(at[..., None, None], turn, self._turn), torch.where(at[..., None], shift, self._shift)
         self._clear = torch.where(at, each.clamp(min=0.0), self._clear)
-        self._known = self._known | going
 
-    def _solved(self, state: State, room: Tensor, owner: Tensor) -> State:
+    def _moved(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor, known: State) -> State:
+        """Pressure, shear and thickness that go with each other at the new poses, of the sensors that go on; `known`: their first guess,
+        which of soft objects says how they are bent, and the state of the others."""
+        each = (heights - self._rest).amin(dim=(2, 3))
+        touching = going & (each.amin(dim=1) < 0)
+        if self._spring is not None:
+            upright = torch.where(touching, turn[:, 0, 2, 2], 1.0)
+            worst = int(upright.argmin())
+            soft.check_lean(f"poses[{worst}]", float(upright[worst]))
+        if bool((leaving := going & ~touching).any()):
+            known = self._released(known, leaving)
+        which = torch.nonzero(touching)[:, 0]
+        if not len(which):
+            return known
+        state, guess, height = self._state.of(which), known.of(which), heights.amin(dim=1)[which]
+        room, owner = height - self._rest, owner[which]
+        anchor = state.anchor
+        if self._friction:
+            over = torch.where(height < FAR_MM / 2, height, 0.0)
+            here = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, over), 1)
+            one, other = (turn[which], shift[which]), (self._turn[which], self._shift[which])
+            drift = (here - self._carried(here, owner, one, other))[:, :2]
+            # Of a way that began in the air, the part from first touch on.
+            share = torch.where(each < 0, each / (each - self._clear).clamp(max=-1e-9), 0.0)[which]
+            by_cell = torch.gather(share, 1, owner.long().flatten(1)).view_as(here[:, 0])
+            drift = torch.where(self._known[which][:, None, None, None], drift * by_cell[:, None], 0.0)
+            anchor = self._layers.carried_along(anchor, drift)
+        state = replace(state, anchor=anchor, pressure=guess.pressure, shear=guess.shear, body=guess.body)
+        placed = None
+        if self._spring is not None:
+            apex = shift[which, 0, :2] + guess.aside
+            placed = Placed(turn[which, 0], apex, guess.load(self._layer), height - shift[which, 0, 2, None, None].float())
+        return known.put(which, self._solved(state, room, owner, placed))
+
+    def _solved(self, state: State, room: Tensor, owner: Tensor, placed: Placed | None) -> State:
         """As `LiveSensor._move` alternates. Sensors leave as they are done."""
-        layers, rest, gel = self._layers, self._rest, self._scene.gel
+        layers, rest, gel, body = self._layers, self._rest, self._scene.gel, state.body
         kept = replace(state, owner=owner)
         place = torch.arange(len(room), device=room.device)
-        p, q, moved, dragged, anchor, thickness = state.pressure, state.shear, state.moved, state.dragged, state.anchor, state.thickness
+        p, q, met, dragged, anchor, thickness = state.pressure, state.shear, state.moved, state.dragged, state.anchor, state.thickness
         bound = torch.zeros_like(p)
         bent, turned = torch.zeros_like(q), torch.zeros_like(room[:, :1, :1])
+        apex = placed and placed.apex
         ways, softest = layers.ways(thickness), layers.stiffness(thickness)
+        springs = self._springs(body, placed)
+        facing = self._facing(ways, body, springs)
+        if placed is not None:
+            met, dragged = layers.moved(facing, p, q), layers.dragged(facing, q)
         for round in range(single.ROUNDS):
             before = p
-            # Pressure is found for the room that shear leaves.
-            lift = moved[:, 2] + layers.sunk(ways, p)
-            p, gap = layers.pressed(ways, room - lift, p, softest, -room.amin(dim=(1, 2), keepdim=True))
-            total = p.sum(dim=(1, 2)).clamp(min=1e-30).double()
-            sunk = gap - room
-            thinner = single.THINNING * layers.held_back(p, moved[:, :2] - dragged, dragged) * sunk if self._friction else 0.0
-            now = gel.thickness_mm + (p * (rest - thinner)).sum(dim=(1, 2)).double() / total
+            p, gap = layers.pressed(facing, room - met[:, 2], p, softest, -room.amin(dim=(1, 2), keepdim=True))
+            total = p.sum(dim=(1, 2)).clamp(min=TINY).double()
+            closer = gap - room
+            sunk = closer if placed is None else -layers.moved(ways, p, q)[:, 2]
+            back = layers.held_back(p, met[:, :2] - dragged, dragged) if self._friction else torch.zeros_like(p[:, :1, :1])
+            now = gel.thickness_mm + (p * (rest - single.THINNING * back * sunk)).sum(dim=(1, 2)).double() / total
             same = (now / thickness - 1).abs() < single.SETTLED
+            if placed is not None and self._spring is not None:
+                low, squash = ((p * way).sum(dim=(1, 2)).double() / total for way in (placed.above, closer - sunk))
+                height = self._spring.height
+                own = torch.stack([low, height - low - single.THINNING * back.flatten() * squash, squash], 1)
+                changed = (own - body).abs().amax(dim=1) > single.SETTLED * height
+                same, body = same & ~changed, torch.where(changed[:, None], own, body)
             settled = single.SETTLED * p.flatten(1).norm(dim=1)
             done = same & ((p - before).flatten(1).norm(dim=1) < settled) & (turned.flatten() < settled) & (round > 0 or not self._friction)
             if bool(done.any()):
-                found = State(thickness, p, q, moved, dragged, anchor, bound, owner).of(done)
-                kept = kept.put(place[done], replace(found, owner=owner[done]))
+                found = State(thickness, p, q, met, dragged, anchor, bound, owner, body, springs, kept.aside[place]).of(done)
+                kept = kept.put(place[done], found)
                 left = ~done
                 if not bool(left.any()):
                     break
-                place, owner, room = place[left], owner[left], room[left]
-                p, q, moved, dragged, anchor, thickness = (v[left] for v in (p, q, moved, dragged, anchor, thickness))
-                bent, now, same, sunk = bent[left], now[left], same[left], sunk[left]
+                place, owner, room, body = place[left], owner[left], room[left], body[left]
+                p, q, met, dragged, anchor, thickness = (v[left] for v in (p, q, met, dragged, anchor, thickness))
+                bent, turned, now, same, sunk = (v[left] for v in (bent, turned, now, same, sunk))
+                placed = placed and placed.of(left)
             thickness = torch.where(same, thickness, now)
             ways, softest = layers.ways(thickness), layers.stiffness(thickness)
+            springs = self._springs(body, placed)
+            facing = self._facing(ways, body, springs)
             bound = single.slip_limit(self._friction, p, q.transpose(0, 1), layers.slope(rest - sunk))
             held = bounded(q, bound[:, None])
-            moved = layers.moved(ways, p, held)
+            met = layers.moved(facing, p, held)
             if self._friction:
+                moved = met if placed is None else layers.moved(ways, p, held)
                 along, carried = layers.bending(p, moved, rest)
                 last, bent = bent, layers.dragged(ways, along) + carried
                 turned = softest * ((bent - last) * (p > 0)[:, None]).flatten(1).norm(dim=1)[:, None, None]
-                slip = moved[:, :2] + bent - anchor
+                slip = met[:, :2] + bent - anchor
                 away = ((slip - dragged) * (p > 0)[:, None]).flatten(1).norm(dim=1)[:, None, None]
-                q, free = layers.sheared(ways, slip, bound, held, away, softest)
+                q, free = layers.sheared(facing, slip, bound, held, away, softest)
                 dragged = dragged + free - slip
-                moved = torch.cat([free + anchor - bent, moved[:, 2:] + layers.lifted(ways, q - held)[:, None]], 1)
+                met = torch.cat([free + anchor - bent, met[:, 2:] + layers.lifted(facing, q - held)[:, None]], 1)
         else:
-            kept = kept.put(place, State(thickness, p, q, moved, dragged, anchor, bound, owner))
-        return self._anchored(kept)
+            kept = kept.put(place, State(thickness, p, q, met, dragged, anchor, bound, owner, body, springs, kept.aside[place]))
+        return self._anchored(kept, apex)
 
-    def _anchored(self, state: State) -> State:
-        """With the displacement of the tractions found, and the anchors of what slips moved on."""
+    def _anchored(self, state: State, apex: Tensor | None) -> State:
+        """With the displacement of the tractions found, how soft objects are bent, and the anchors of what slips moved on."""
         layers = self._layers
         ways = layers.ways(state.thickness)
-        moved = layers.moved(ways, state.pressure, state.shear)
+        moved = met = layers.moved(ways, state.pressure, state.shear)
+        if apex is not None:
+            met = layers.moved(self._facing(ways, state.body, state.springs), state.pressure, state.shear)
+            swung = layers.swung(state.springs, torch.cat([state.shear, state.pressure[:, None]], 1))
+            at = torch.cat([torch.ones_like(apex[:, :1]), apex], 1)
+            state = replace(state, aside=-(swung[:, :2].double() @ at[:, :, None])[:, :, 0])
         if not self._friction:
-            return replace(state, moved=moved, anchor=moved[:, :2])
+            return replace(state, moved=moved, anchor=met[:, :2])
         stuck = state.shear.square().sum(dim=1) < (STUCK * state.bound) ** 2
         along, carried = layers.bending(state.pressure, moved, self._rest)
-        anchor = torch.where(stuck[:, None], state.anchor, moved[:, :2] + layers.dragged(ways, along) + carried)
+        anchor = torch.where(stuck[:, None], state.anchor, met[:, :2] + layers.dragged(ways, along) + carried)
         return replace(state, moved=moved, anchor=anchor)
+
+    def _springs(self, body: Tensor, placed: Placed | None) -> Tensor:
+        """As of `State`."""
+        if self._spring is None or placed is None:
+            return torch.zeros((len(body), 9, 9), device=self.device)
+        compliance = self._spring.compliance(placed.turn, placed.load, body[:, 0], body[:, 2])
+        return self._layers.springs(compliance, placed.apex)
+
+    def _facing(self, ways: Ways, body: Tensor, springs: Tensor) -> Ways:
+        """Of gels against what they touch."""
+        if self._opposite is None:
+            return ways
+        thickness = body[:, 1].clamp(min=self._flattest)  # of one that is flatter while it is looked for; at last it is refused
+        return Ways(ways.answers + self._opposite.at(thickness), springs)
 
     def _frame(self) -> BatchFrame:
         layer, layers, state = self._layer, self._layers, self._state
@@ -378,7 +510,7 @@ class LiveBatch:
         force, torque = [], []
         for body in range(len(self.objects)):
             mine = traction if len(self.objects) == 1 else traction * (state.owner == body)[:, None]
-            sums, by_z = mine.flatten(2) @ self._arms, mine.flatten(2) @ z.flatten(1)[:, :, None]
+            sums, by_z = mine.flatten(2) @ layers.arms, mine.flatten(2) @ z.flatten(1)[:, :, None]
             force.append(sums[:, :, 0])
             by = torch.cat([sums[:, :, 1:], by_z], 2)  # of force along i, times the place along j
             torque.append(torch.stack([by[:, j, i] - by[:, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], 1))
@@ -398,12 +530,13 @@ class LiveBatch:
         """As `gelsim.live.sensor.State.field`: displacement over the grid as it is seen [mm], (n, 3, rows, columns)."""
         layers, rest = self._layers, self._rest
         ways = layers.ways(state.thickness)
+        facing = self._facing(ways, state.body, state.springs)
         along, carried = layers.bending(state.pressure, state.moved, rest)
         sideways = state.moved[:, :2] + layers.dragged(ways, along) + carried
         z = state.moved[:, 2]
         if self._friction:
             led = layers.led(state.pressure, state.moved, rest)
-            z = z + led - layers.sunk(ways, layers.punch(ways, state.pressure > 0, led))
+            z = z + led - layers.sunk(ways, layers.punch(facing, state.pressure > 0, led))
         return torch.cat([sideways, z[:, None]], 1)
 
     def _marker_pixels(self, state: State) -> Tensor:

@@ -20,6 +20,8 @@ CLOSE_MM = 0.02
 MARCH, CORRECTIONS = 64, 3
 FAR_MM = wp.constant(1e3)
 """Height where there is no object."""
+DONE, TRIED, GONE = wp.constant(0.0), wp.constant(1.0), wp.constant(2.0)
+"""What `press_on` has to do."""
 
 
 @wp.func
@@ -77,32 +79,53 @@ def line_search(steep: wp.float64, against: wp.float64, size: wp.float64) -> wp.
 
 @wp.kernel(enable_backward=False)
 def press_on(
-    turn: int, allowed: wp.array2d(dtype=float), change: wp.array2d(dtype=float), move: wp.array2d(dtype=float),
-    pressure: wp.array2d(dtype=float), gap: wp.array2d(dtype=float), step: wp.array2d(dtype=float),
+    turn: int, change: wp.array2d(dtype=float), move: wp.array2d(dtype=float), pressure: wp.array2d(dtype=float),
+    gap: wp.array2d(dtype=float), way: wp.array2d(dtype=float), known: wp.array2d(dtype=float), phase: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """A step of spectral projected gradients to a pressure over (sensor, cell): along a move, and finds the next one.
+    """A product's part of a step of `gelsim.live.layer.pressure` over (sensor, cell): a way is tried, and if on it contact begins or ends,
+    the change of pressure too.
 
-    One block of threads goes over the cells of a sensor, so that sums have one order, twice: fields pass the memory as seldom as they can.
+    One block of threads goes over the cells of a sensor, so that sums have one order.
 
     Args:
-        turn: 0: finds the first move only.
-        allowed: Gap under a pressure, root mean square [mm], (sensor, 1).
+        turn: 0: finds the first way only.
         change: Of the gap by the move.
-        step: Against the gap [kPa/mm], (sensor, 1); 0 of those that are done, which stay as they are.
+        move: The way that is tried, or the change of pressure.
+        way: The last one, where there is pressure.
+        known: Gap allowed under a pressure, root mean square [mm]; a step against the gap that is not too long [kPa/mm]; the sum of squares
+            of the gap under pressure, 0 for a way anew; the step at which contact ends somewhere; and 1 where there is overlap beside the
+            contact, (sensor, 5).
+        phase: DONE of those that stay as they are, else what the move is, (sensor, 1).
     """
     n, lane = wp.tid()
-    if step[n, 0] == 0.0:
+    now = phase[n, 0]
+    if now == DONE:
         return
-    found = wp.vec2f(0.0, step[n, 0])
-    if turn > 0:
+    allowed = known[n, 0]
+    size = known[n, 2]
+    step = float(0.0)
+    if turn > 0 and now == TRIED:
         steep = wp.float64(0.0)
         against = wp.float64(0.0)
-        size = wp.float64(0.0)
         for k in range(lane, move.shape[1], wp.block_dim()):
             steep += wp.float64(change[n, k] * move[n, k])
             against += wp.float64(gap[n, k] * move[n, k])
-            size += wp.float64(change[n, k] * change[n, k])
-        found = line_search(steep, against, size)
+        total = wp.tile_sum(wp.tile(steep))[0]
+        along = wp.tile_sum(wp.tile(against))[0]
+        step = known[n, 1]
+        if total > wp.float64(0.0):  # else nothing touches yet, or no more than rounding is left
+            step = wp.float32(along / total)
+        if step > known[n, 3] or known[n, 4] > 0.0:
+            for k in range(lane, move.shape[1], wp.block_dim()):
+                p = pressure[n, k]
+                to = wp.max(p - step * move[n, k], 0.0)
+                if p <= 0.0:
+                    to = -step * wp.min(gap[n, k], 0.0)
+                pressure[n, k] = to
+                move[n, k] = to - p
+            known[n, 2] = wp.where(known[n, 4] > 0.0, 0.0, size)
+            phase[n, 0] = GONE
+            return
     inside = wp.float64(0.0)
     held = float(0.0)
     lowest = float(0.0)
@@ -110,8 +133,11 @@ def press_on(
         p = pressure[n, k]
         g = gap[n, k]
         if turn > 0:
-            p += found[0] * move[n, k]
-            g += found[0] * change[n, k]
+            if now == TRIED:
+                p = wp.max(p - step * move[n, k], 0.0)
+                g -= step * change[n, k]
+            else:
+                g += change[n, k]
             pressure[n, k] = p
             gap[n, k] = g
         if p > 0.0:
@@ -119,11 +145,30 @@ def press_on(
             held += 1.0
         else:
             lowest = wp.min(lowest, g)
-        move[n, k] = wp.max(p - found[1] * g, 0.0) - p
-    most = allowed[n, 0] * allowed[n, 0] * wp.tile_sum(wp.tile(held))[0]
+    left = wp.tile_sum(wp.tile(inside))[0]
+    most = allowed * allowed * wp.tile_sum(wp.tile(held))[0]
     worst = wp.tile_min(wp.tile(lowest))[0]
-    missed = wp.tile_sum(wp.tile(inside))[0] > wp.float64(most) or -worst > 3.0 * allowed[n, 0]
-    step[n, 0] = wp.where(missed, found[1], 0.0)
+    if left <= wp.float64(most) and -worst <= 3.0 * allowed:
+        phase[n, 0] = DONE
+        return
+    again = float(0.0)
+    if size > 0.0:
+        again = wp.float32(left) / size
+    ends = float(FAR_MM)
+    for k in range(lane, move.shape[1], wp.block_dim()):
+        p = pressure[n, k]
+        to = float(0.0)
+        if p > 0.0:
+            to = gap[n, k] + again * way[n, k]
+            if p < ends * to:
+                ends = p / to
+        way[n, k] = to
+        move[n, k] = to
+    first = wp.tile_min(wp.tile(ends))[0]
+    known[n, 2] = wp.float32(left)
+    known[n, 3] = first
+    known[n, 4] = wp.where(worst < 0.0, 1.0, 0.0)
+    phase[n, 0] = TRIED
 
 
 @wp.func

@@ -1,8 +1,10 @@
 """The baked gel of `gelsim.live.layer` for many sensors at once, in PyTorch: the same equations, each sensor with a thickness of its own.
 
 All is on the whole grid, where waves are exponentials and an FFT's product is exact, as the layer is periodic with the gel's size. Pressure
-and shear are both found by spectral projected gradients (Birgin, Martínez and Raydan 2000): one product a step, where conjugate gradients
-need two whenever the contact changes. Each sensor stops where it is good enough, so what it answers hangs on no other one.
+and shear are found as there. Each sensor stops where it is good enough, so what it answers hangs on no other one.
+
+What soft objects facing the gels do comes in by `Ways`: faces that look at each other add their answers, and springs beside them know of
+tractions nine sums alone, of each part that itself, times x and times y.
 
 Shapes: n sensors, (n, rows, columns), vectors (n, 2 or 3, rows, columns). Units as there: mm, kPa, single precision.
 """
@@ -11,17 +13,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
+from scipy import fft
 from torch import Tensor
 
 from gelsim.live import layer as single
 from gelsim.live.batch_kernels import bent, bent_stress, carried_along, dragged_waves, lifted_waves, moved_waves, press_on, shear_on
 from gelsim.live.layer import Layer
+from gelsim.live.soft import modes
 
 CHECKED = 4
 """Steps of a gradient method between looks whether all sensors are done: to look is to wait for the GPU."""
@@ -68,57 +73,117 @@ def norm(values: Tensor) -> Tensor:
     return inner(values, values).sqrt()
 
 
-class Layers:
-    """What tractions do to the faces of many layers of one size and material."""
+ALL, ALONG, UP = slice(0, 9), slice(0, 6), slice(6, 9)
+"""Of the nine sums of three parts."""
 
-    def __init__(self, layer: Layer, thinnest: float, thickest: float, device: str) -> None:
-        """For thicknesses [mm] in between."""
+
+class Answers:
+    """Of layers of one material to waves over a grid; between the nodes of thickness straight."""
+
+    def __init__(self, layer: Layer, thinnest: float, thickest: float, device: str, facing: tuple[int, int] | None = None) -> None:
+        """For thicknesses [mm] in between.
+
+        Args:
+            facing: Rows and columns of a gel that they look at from above; without, they are of gels.
+        """
         first, last = (math.log(limit) / math.log1p(single.NODES) for limit in (thinnest, thickest))
         self._first, last = math.floor(first), math.floor(last) + 1
         nodes = [layer.spectrum(node) for node in range(self._first, last + 1)]
+        if facing is not None:
+            nodes = [single.within(fft.irfft2(node, layer.shape), facing) for node in nodes]  # type: ignore[arg-type]
         real = [np.concatenate([node[:4].real, -node[4:].imag]) for node in nodes]
         self._nodes = torch.as_tensor(np.stack(real), device=device)
-        self.layer, self.shape, self.device = layer, layer.shape, device
-        self.x, self.y = (torch.as_tensor(way, dtype=torch.float32, device=device) for way in np.meshgrid(layer.x, layer.y))
-        self.modulus = layer.material.shear_kpa
-        self._cell = wp.vec2f(*layer.cell)
-        by_y, by_x = np.fft.fftfreq(layer.shape[0], layer.cell[1])[:, None], np.fft.rfftfreq(layer.shape[1], layer.cell[0])
-        self._squared = torch.as_tensor((2 * np.pi) ** 2 * (by_x**2 + by_y**2), dtype=torch.float32, device=device)
+        if facing is not None:
+            self._nodes[:, 4:] *= -1
 
-    def ways(self, thickness: Tensor) -> Tensor:
-        """The answers of layers so thick (n,) [mm], (n, 6, rows, columns / 2 + 1): u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and of u_x
-        and u_y by p the imaginary part, which is also that of u_z by q_x and q_y."""
+    def at(self, thickness: Tensor) -> Tensor:
+        """Of thicknesses (n,) [mm], (n, 6, rows, columns / 2 + 1): u_z by p, u_x by q_x, u_y by q_y, u_x by q_y; and of u_x and u_y by p
+        the imaginary part, which is also that of u_z by q_x and q_y."""
         place = thickness.log() / math.log1p(single.NODES) - self._first
         node = place.floor().clamp(0, len(self._nodes) - 2)
         share = (place - node)[:, None, None, None].float()
         return torch.lerp(self._nodes[node.long()], self._nodes[node.long() + 1], share)
 
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """What tractions do to the faces of layers; or how far they move these from those of soft objects."""
+
+    answers: Tensor
+    """As of `Answers.at`."""
+    springs: Tensor | None = None
+    """What the nine sums of q_x, q_y and p make of u_x, u_y and u_z, which are 1, x and y as often, (n, 9, 9)."""
+
+
+class Layers:
+    """What tractions do to the faces of many layers of one size and material."""
+
+    def __init__(self, layer: Layer, thinnest: float, thickest: float, device: str) -> None:
+        """For thicknesses [mm] in between."""
+        self._answers = Answers(layer, thinnest, thickest, device)
+        self.layer, self.shape, self.device = layer, layer.shape, device
+        self.x, self.y = (torch.as_tensor(way, dtype=torch.float32, device=device) for way in np.meshgrid(layer.x, layer.y))
+        self.arms = torch.stack([torch.ones_like(self.x), self.x, self.y]).flatten(1).T
+        """1, x and y of the cells (cells, 3)."""
+        self.modulus = layer.material.shear_kpa
+        self._cell = wp.vec2f(*layer.cell)
+        by_y, by_x = np.fft.fftfreq(layer.shape[0], layer.cell[1])[:, None], np.fft.rfftfreq(layer.shape[1], layer.cell[0])
+        self._squared = torch.as_tensor((2 * np.pi) ** 2 * (by_x**2 + by_y**2), dtype=torch.float32, device=device)
+
+    def ways(self, thickness: Tensor) -> Ways:
+        """Of layers so thick (n,) [mm]."""
+        return Ways(self._answers.at(thickness))
+
     def stiffness(self, thickness: Tensor) -> Tensor:
         """Of the softest wave, along the face [kPa/mm], (n, 1, 1)."""
         return (self.modulus / thickness)[:, None, None].float()
 
-    def moved(self, ways: Tensor, pressure: Tensor, shear: Tensor) -> Tensor:
+    def moved(self, ways: Ways, pressure: Tensor, shear: Tensor) -> Tensor:
         """Displacement u of all tractions together [mm], (n, 3, rows, columns)."""
-        return self._product(moved_waves, ways, torch.cat([shear, pressure[:, None]], dim=1), 3)
+        return self._product(moved_waves, ways, torch.cat([shear, pressure[:, None]], dim=1), ALL, ALL)
 
-    def sunk(self, ways: Tensor, pressure: Tensor) -> Tensor:
+    def sunk(self, ways: Ways, pressure: Tensor) -> Tensor:
         """How deep a pressure alone presses the face [mm]."""
-        return torch.fft.irfft2(ways[:, 0] * torch.fft.rfft2(pressure), s=self.shape)
+        found = torch.fft.irfft2(ways.answers[:, 0] * torch.fft.rfft2(pressure), s=self.shape)
+        return found if ways.springs is None else found - self._sprung(ways.springs[:, UP, UP], pressure[:, None])[:, 0]
 
-    def dragged(self, ways: Tensor, shear: Tensor) -> Tensor:
+    def dragged(self, ways: Ways, shear: Tensor) -> Tensor:
         """How far tangential tractions alone move the face along itself [mm]."""
-        return self._product(dragged_waves, ways, shear, 2)
+        return self._product(dragged_waves, ways, shear, ALONG, ALONG)
 
-    def lifted(self, ways: Tensor, shear: Tensor) -> Tensor:
+    def lifted(self, ways: Ways, shear: Tensor) -> Tensor:
         """u_z of tangential tractions [mm]."""
-        return self._product(lifted_waves, ways, shear, 1)[:, 0]
+        return self._product(lifted_waves, ways, shear, ALONG, UP)[:, 0]
 
-    def _product(self, kernel: Any, ways: Tensor, tractions: Tensor, parts: int) -> Tensor:
+    def _product(self, kernel: Any, ways: Ways, tractions: Tensor, of: slice, to: slice) -> Tensor:
+        """Of tractions, parts of the three, to parts of the displacement."""
         waves = torch.fft.rfft2(tractions)
-        found = torch.empty((len(waves), parts, *waves.shape[2:]), dtype=waves.dtype, device=waves.device)
-        each = [field.flatten(2) for field in (ways, waves, found)]
+        found = torch.empty((len(waves), len(range(9)[to]) // 3, *waves.shape[2:]), dtype=waves.dtype, device=waves.device)
+        each = [field.flatten(2) for field in (ways.answers, waves, found)]
         launch(kernel, each[-1].shape[::2], *each)
-        return torch.fft.irfft2(found, s=self.shape)
+        moved = torch.fft.irfft2(found, s=self.shape)
+        return moved if ways.springs is None else moved + self._sprung(ways.springs[:, to, of], tractions)
+
+    def swung(self, springs: Tensor, tractions: Tensor) -> Tensor:
+        """What springs make of tractions (n, parts, rows, columns): a displacement as 1, x and y of each part, (n, parts, 3)."""
+        sums = tractions.flatten(2) @ self.arms
+        return (springs @ sums.flatten(1)[:, :, None]).view(len(springs), -1, 3)
+
+    def _sprung(self, springs: Tensor, tractions: Tensor) -> Tensor:
+        """The same over the grid [mm]."""
+        return (self.swung(springs, tractions) @ self.arms.T).unflatten(2, self.shape)
+
+    def springs(self, compliance: Tensor, apex: Tensor) -> Tensor:
+        """`Ways.springs` of soft objects' compliances as of `layer.SoftBody`, (n, 6, 6), about places (n, 2) [mm]."""
+        none, one = np.zeros(()), np.ones(())
+        still = modes(none, none)
+        by = np.stack([still, modes(one, none) - still, modes(none, one) - still], axis=-1)  # of 1, x and y
+        ways = torch.as_tensor(by, device=self.device).expand(len(apex), -1, -1, -1).clone()
+        ways[..., 0] -= (ways[..., 1:] @ apex[:, None, :, None])[..., 0]  # x and y are beside the apex
+        ways = ways.flatten(2)
+        found = self._cell[0] * self._cell[1] * (ways.transpose(1, 2) @ compliance @ ways)
+        found[:, :, UP] *= -1  # pressure is down
+        return found.float()
 
     def slope(self, values: Tensor) -> Tensor:
         """Of values (..., rows, columns) along x and y, (2, ..., rows, columns); at the rim half of it."""
@@ -184,15 +249,20 @@ class Layers:
         launch(carried_along, (len(values), *self.shape), self._cell, values, drift, found)
         return found
 
-    def pressed(self, ways: Tensor, room: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
-        """As `layer.pressure`: p ≥ 0 [kPa] with gap = room + sunk(p) ≥ 0 and p gap = 0; and that gap. `deepest`: overlap (n, 1, 1) [mm]."""
-        some = start.amax(dim=(1, 2), keepdim=True) > 0
-        p = torch.where(some, start, (room < 0) * (self.modulus * 1e-3))
-        gap = room + self.sunk(ways, p)
-        self._descend(press_on, [single.GAP_TOLERANCE * deepest], [p, gap], softest, lambda move: self.sunk(ways, move))
+    def pressed(self, ways: Ways, gap: Tensor, start: Tensor, softest: Tensor, deepest: Tensor) -> tuple[Tensor, Tensor]:
+        """As `layer.pressure`: p ≥ 0 [kPa] with gap ≥ 0 and p gap = 0; and that gap.
+
+        Args:
+            gap: Under the first guess [mm].
+            start: A first guess.
+            deepest: Overlap (n, 1, 1) [mm].
+        """
+        p, gap = start.clone(memory_format=torch.contiguous_format), gap.contiguous()
+        known = torch.cat([single.GAP_TOLERANCE * deepest, softest, softest.new_zeros((len(p), 1, 3))], dim=-1)
+        self._descend(press_on, [], [p, gap, torch.zeros_like(p), known], torch.ones_like(softest), lambda move: self.sunk(ways, move))
         return p, gap
 
-    def sheared(self, ways: Tensor, slip: Tensor, bound: Tensor, start: Tensor, away: Tensor, softest: Tensor) -> tuple[Tensor, Tensor]:
+    def sheared(self, ways: Ways, slip: Tensor, bound: Tensor, start: Tensor, away: Tensor, softest: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.shear`: tangential tractions q, |q| ≤ bound [kPa], and the slip that is left [mm], (n, 2, rows, columns) each."""
         q, left = start.clone(memory_format=torch.contiguous_format), slip.clone(memory_format=torch.contiguous_format)
         allowed = single.SLIP_TOLERANCE * torch.minimum(softest * away, norm(bound))
@@ -202,13 +272,13 @@ class Layers:
 
     @staticmethod
     def _descend(kernel: Any, given: list[Tensor], found: list[Tensor], step: Tensor, answer: Callable[[Tensor], Tensor]) -> None:
-        """Spectral projected gradients, of a quadratic function: a place and the gradient there, to the least of what is allowed.
+        """A place and the gradient there, to the least of what is allowed of a quadratic function.
 
         Args:
-            kernel: A step of them, `batch_kernels.press_on` or `shear_on`.
+            kernel: A step of a gradient method, `batch_kernels.press_on` or `shear_on`.
             given: Its first fields.
-            found: Place and gradient, whose memory has no gaps; moved on.
-            step: Along the gradient, the first time, (n, 1, 1).
+            found: Place and gradient and what it remembers, whose memory has no gaps; moved on.
+            step: Its last field, 0 of those that are done, (n, 1, 1).
             answer: What a change of place adds to the gradient.
         """
         step = step.clone()
@@ -220,7 +290,7 @@ class Layers:
                 break
             change = answer(move)
 
-    def punch(self, ways: Tensor, cells: Tensor, motion: Tensor) -> Tensor:
+    def punch(self, ways: Ways, cells: Tensor, motion: Tensor) -> Tensor:
         """As `layer.punch` of a motion down (n, rows, columns) [mm]: a pressure on some cells [kPa]."""
         left = motion * cells
         traction, way, size = torch.zeros_like(left), left, inner(left, left)

@@ -162,16 +162,7 @@ class Layer:
         """
         if (shape, node) in self._nodes:
             return self._nodes[shape, node]
-        space = self._space(node)
-        for axis, (count, whole) in enumerate(zip(shape, self.shape, strict=True), start=1):
-            if count < whole:  # as far as the window reaches
-                space = np.moveaxis(space, axis, 0)
-                cut = np.zeros((count, *space.shape[1:]), np.float32)
-                reach = np.arange(1 - count // 2, count // 2)
-                cut[reach] = space[reach]
-                space = np.moveaxis(cut, 0, axis)
-        found: Any = fft.rfft2(space)
-        found = found[:, : shape[0] // 2 + 1]
+        found = within(self._space(node), shape)[:, : shape[0] // 2 + 1]
         (zz, xx, yy, xy), (xz, yz) = found[:4].real, found[4:].imag
         return keep(self._nodes, (shape, node), np.stack([zz, xx, yy, -xy, xy, xy, -xy, -xz, xz, -yz, yz]), KEPT)
 
@@ -206,6 +197,18 @@ class Layer:
         xx, yy, xy = along * cx**2 + across * cy**2, along * cy**2 + across * cx**2, (along - across) * cx * cy * odd
         xx[0, 0] = yy[0, 0] = thickness / shear
         return np.stack([normal, xx, yy, xy, 1j * mixed * cx * odd, 1j * mixed * cy * odd]).astype(np.complex64)
+
+
+def within(space: Values, shape: tuple[int, int]) -> NDArray[np.complex64]:
+    """Waves of a grid of a shape, (..., rows, columns / 2 + 1), by what a traction on the first cell of a larger one moves."""
+    for axis, count in zip((-2, -1), shape, strict=True):
+        if count < space.shape[axis]:
+            space = np.moveaxis(space, axis, 0)
+            cut = np.zeros((count, *space.shape[1:]), np.float32)
+            reach = np.arange(1 - count // 2, count // 2)
+            cut[reach] = space[reach]
+            space = np.moveaxis(cut, 0, axis)
+    return fft.rfft2(space)  # type: ignore[return-value]
 
 
 def keep(table: dict[Any, T], key: Any, value: T, most: int) -> T:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,26 +71,51 @@ class Spring:
         Raises:
             SceneError: It leans by more than LEAN_DEG, or is pressed flat.
         """
-        if turn[2, 2] < math.cos(math.radians(LEAN_DEG)):
-            lean = math.degrees(math.acos(np.clip(turn[2, 2], -1.0, 1.0)))
-            raise SceneError(
-                f"pose: the object leans by {lean:.0f}°; a soft one is known about its apex, so allowed are {LEAN_DEG:g}°; "
-                "turn it by object.rotation_deg, or set object.rigid = true"
-            )
-        if thickness <= 0.0:
-            raise SceneError(f"pose: the soft object, {self.height:g} mm high, is pressed flat; press less deep, or make it higher")
-        place = np.interp(low, self.lows, np.arange(len(self.lows)))
-        before = min(int(place), len(self.lows) - 2)
-        compliance = (before + 1 - place) * self.compliances[before] + (place - before) * self.compliances[before + 1]
-        left = max(1.0 - squash / self.height, 0.0)
-        compliance *= 3.0 * left**2 / (1.0 + left + left**2)  # of a neo-Hookean column: G (1/left² - left) for 3G (1 - left)
-        # A load sinks by half of ∫ ψ² where the apex goes aside (of shear it does not: Haringx 1948).
-        turns = np.array([compliance[4, 0] / compliance[0, 0], compliance[3, 1] / compliance[1, 1], 0, 0, 0, 0])
-        bowed = compliance * (BOW * load * self.height * turns**2)
-        bowed *= min(1.0, MOST_LOAD / max(np.abs(np.linalg.eigvals(bowed)).max(), 1e-9))
-        both = np.kron(np.eye(2), turn)
-        compliance = both @ np.linalg.solve(np.eye(6) - bowed, compliance) @ both.T
+        check_lean("pose", turn[2, 2])
+        check_flat("pose", thickness, self.height)
+        compliance = self.compliance(turn, *(np.asarray(value, float) for value in (load, low, squash)))
         return SoftBody(self.layer, thickness, low, compliance, apex, x, y, squash)
+
+    def compliance(self, turn: Any, load: Any, low: Any, squash: Any) -> Any:
+        """Of the object's motion as a whole, so placed: as of `SoftBody`, (..., 6, 6); for arrays of NumPy or torch alike."""
+        apart = (self.lows[1:] - self.lows[:-1]).clip(1e-9, None)  # none under a flat face
+        shares = ((low[..., None] - self.lows[:-1]) / apart).clip(0.0, 1.0)
+        steps = self.compliances[1:] - self.compliances[:-1]
+        left = (1.0 - squash / self.height).clip(0.0, None)
+        column = 3.0 * left**2 / (1.0 + left + left**2)  # neo-Hookean: G (1/left² - left) for 3G (1 - left)
+        own = (self.compliances[0] + (shares @ steps.reshape(-1, 36)).reshape(*low.shape, 6, 6)) * column[..., None, None]
+        # A load sinks by half of ∫ ψ² where the apex goes aside (of shear it does not: Haringx 1948), so along x and y a push grows by
+        # `bowed` of how far it goes, and so on: a series, whose sum is by the inverse of a matrix of two rows.
+        turns = own[..., [4, 3], [0, 1]] / own[..., [0, 1], [0, 1]]
+        bowed = BOW * self.height * load[..., None] * turns**2
+        grown = own[..., :2, :2] * bowed[..., None, :]
+        mean, apart = (grown[..., 0, 0] + grown[..., 1, 1]) / 2, (grown[..., 0, 0] - grown[..., 1, 1]) / 2
+        mixed = grown[..., 0, 1] * grown[..., 1, 0]
+        held = (MOST_LOAD / (abs(mean) + (apart**2 + mixed) ** 0.5).clip(1e-9, None)).clip(None, 1.0)  # by the larger eigenvalue
+        rest = 1.0 - 2.0 * held * mean
+        whole = rest + held**2 * (mean**2 - apart**2 - mixed)
+        aside = own[..., :2, :]
+        push = bowed[..., :, None] * (rest[..., None, None] * aside + held[..., None, None] * (grown @ aside))
+        own = own + (held / whole)[..., None, None] * (own[..., :, :2] @ push)
+        blocks = own.reshape(*low.shape, 2, 3, 2, 3).swapaxes(-3, -2)
+        turned = turn[..., None, None, :, :] @ blocks @ turn.swapaxes(-1, -2)[..., None, None, :, :]
+        return turned.swapaxes(-3, -2).reshape(*low.shape, 6, 6)
+
+
+def check_lean(where: str, upright: float) -> None:
+    """Raises SceneError where a soft object leans by more than LEAN_DEG; `upright`: its axis along z."""
+    if upright < math.cos(math.radians(LEAN_DEG)):
+        lean = math.degrees(math.acos(np.clip(upright, -1.0, 1.0)))
+        raise SceneError(
+            f"{where}: the object leans by {lean:.0f}°; a soft one is known about its apex, so allowed are {LEAN_DEG:g}°; "
+            "turn it by object.rotation_deg, or set object.rigid = true"
+        )
+
+
+def check_flat(where: str, thickness: float, height: float, least: float = 0.0) -> None:
+    """Raises SceneError where no more than `least` of a soft object's height is left as its layer's thickness [mm]."""
+    if thickness <= least:
+        raise SceneError(f"{where}: the soft object, {height:g} mm high, is pressed flat; press less deep, or make it higher")
 
 
 def modes(x: Array, y: Array) -> Array:

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from test_baked import flat_scene
 from test_lightfield import linear_field
 
 import gelsim
 from gelsim.errors import RenderError, SceneError
 from gelsim.live import layer
-from gelsim.live.sensor import LiveSensor
+from gelsim.live.sensor import STILL_MM, LiveFrame, LiveSensor
+from gelsim.live.soft import Spring
+from gelsim.live.underside import Underside
 from gelsim.optics import bake
 from gelsim.scene.definition import Body, Gel, Markers, Scene
 
 torch = pytest.importorskip("torch")
-from gelsim.live import batch_layer  # noqa: E402
+from gelsim.live import batch, batch_layer  # noqa: E402
 from gelsim.live.batch import BatchFrame, LiveBatch  # noqa: E402
-from gelsim.live.batch_layer import Layers  # noqa: E402
+from gelsim.live.batch_kernels import undersides  # noqa: E402
+from gelsim.live.batch_layer import Answers, Layers  # noqa: E402
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 WALK = ((0.0, 0.0, -0.2), (0.0, 0.0, -0.5), (0.15, 0.1, -0.5), (0.5, 0.1, -0.55), (0.2, 0.1, -0.4), (0.2, 0.1, 0.3), (0.2, 0.0, -0.3))
@@ -40,6 +46,19 @@ def ball_scene(friction: float | str = 0.5, **gel: object) -> Scene:
     ball = Body(shape="hemisphere", radius_mm=4.0, height_mm=6.0, rigid=True)
     made = flat_scene(gel=Gel(**({"size_mm": (12.8, 10.0), "thickness_mm": 2.4, "profile": "flat"} | gel)), object=ball, markers=Markers())
     return made.replace(contact=replace(made.contact, friction_coefficient=friction))
+
+
+SOFT = {
+    "ball": {"shape": "hemisphere", "radius_mm": 4.0, "height_mm": 6.0},
+    "cylinder": {"shape": "cylinder", "radius_mm": 3.0, "length_mm": 5.0, "height_mm": 5.0},
+    "punch": {"shape": "punch", "radius_mm": 2.5, "height_mm": 2.0},
+    "box": {"shape": "box", "width_mm": 3.0, "length_mm": 4.0, "height_mm": 2.5},
+}
+DOME = {"profile": "dome", "edge_thickness_mm": 1.6}
+
+
+def soft_scene(kind: str, friction: float | str = 0.5, **gel: object) -> Scene:
+    return ball_scene(friction, **gel).replace(object=Body(**SOFT[kind], shore_00=30.0))
 
 
 def about(axis: int, degrees: float) -> tuple[float, ...]:
@@ -63,6 +82,15 @@ def forces(scene: Scene, alone: Scene | None = None) -> tuple[np.ndarray, np.nda
     return np.array(found), np.array(known)
 
 
+def as_the_batch(self: Underside, turn: np.ndarray, shift: np.ndarray, x: np.ndarray, y: np.ndarray) -> NDArray[np.float32]:
+    """`Underside.heights` traced, not of a map, which shifts rims by up to half a cell: of a punch that is 3 % of the force."""
+    found = wp.zeros((1, len(y), len(x)), float, device="cpu")
+    placed = wp.array(turn[None], wp.mat33d, device="cpu"), wp.array(shift[None], wp.vec3d, device="cpu")
+    across = [wp.array(way, float, device="cpu") for way in (x, y, np.full((len(y), len(x)), 1.0))]
+    wp.launch(undersides, found.shape, [self._field.grid("cpu"), *placed, *across, found], device="cpu")
+    return found.numpy()[0]
+
+
 def off(found: np.ndarray, known: np.ndarray) -> tuple[float, float]:
     """Largest difference over the largest force of a walk, along z and along the gel."""
     apart = np.abs(found - known).max(axis=(0, 1)) / np.abs(known[..., 2]).max()
@@ -77,6 +105,93 @@ def test_forces_are_those_of_each_alone(friction: float | str, gel: dict) -> Non
     assert (found[5] == 0).all() and (found[-1, :, 2] < 0).all()
     if friction == 0.5:
         assert np.greater(off(*forces(ball_scene(0.6, **gel), ball_scene(0.5, **gel))), (0.0, SHEAR)).all()  # planted: another law
+
+
+def soft_poses(x: float, y: float, z: float) -> list[tuple[float, ...]]:
+    """Of two sensors; the second object leans, and turns with the way. Were it by 5°, cells of a punch's rim would join and leave at once:
+    there the apex of a sensor alone jumps by 14 µm if its pose is moved by 0.2 µm."""
+    lean, turn = Rotation.from_euler("x", 3.0, degrees=True), Rotation.from_euler("z", 60.0 + 20.0 * x, degrees=True)
+    return [pose(x, y, z), pose(-x, y, z, tuple(np.roll((turn * lean).as_quat(), 1)))]
+
+
+def soft_alone(scene: Scene, walk: tuple) -> list[list[tuple[LiveFrame, np.ndarray]]]:
+    """What two sensors answer, and where their objects' apices have gone [mm]; on the undersides that a batch sees."""
+    with pytest.MonkeyPatch.context() as traced:
+        traced.setattr(Underside, "heights", as_the_batch)
+        one = [LiveSensor(scene, image=False) for _ in range(2)]
+        return [[(s.step(at, 0.01), s.state[0].bent) for s, at in zip(one, soft_poses(*place), strict=True)] for place in walk]
+
+
+def soft_apart(scene: Scene, walk: tuple, known: list) -> tuple[float, ...]:
+    """Of a batch from those, the largest: force along z and along the gel, over the largest; apex [mm]; height [m, RMS]; and of the cells
+    that touch, a share."""
+    many, found = LiveBatch(scene, 2, image=False, device="cpu"), []
+    most = max(abs(alone.force[2]) for each in known for alone, _ in each)
+    for place, each in zip(walk, known, strict=True):
+        frame, aside = many.step(np.array(soft_poses(*place)), 0.01), many._state.aside.numpy()
+        for mine, (alone, bent) in enumerate(each):
+            x, y, z = np.abs(frame.force[mine, 0].numpy() - alone.force) / most
+            other = (frame.contact[mine].numpy() >= 0) != alone.contact
+            height = np.sqrt(((frame.height[mine].numpy() - alone.height) ** 2).mean())
+            touched = other.sum() / max(alone.contact.sum(), 1)
+            found.append((z, max(x, y), np.linalg.norm(aside[mine] - bent), height, touched))
+    return tuple(np.max(found, axis=0))
+
+
+BOUNDS = (FORCE + HELD, SHEAR, 2 * STILL_MM, 1e-6, 0.05)
+"""Of `soft_apart`: as of rigid ones, and of the apex twice the motion at which both stop to look. What a soft one adds is less: thickness,
+mean height and squash settle to 5e-4 of its height, and its layer's answer, about half of all, goes with the first power of each."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "friction", "gel"),
+    [("ball", "stick", {}), ("ball", 0.0, DOME), ("cylinder", 0.5, DOME), ("punch", 0.5, {}), ("box", 0.0, {})],
+)
+def test_soft_ones_give_way_as_each_alone(kind: str, friction: float | str, gel: dict) -> None:
+    """Pressed, sheared, twisted, lifted and pressed again. A friction that holds nothing back leaves the less."""
+    scene = soft_scene(kind, friction, **gel)
+    known = soft_alone(scene, WALK)
+    assert np.less(soft_apart(scene, WALK, known), (BOUNDS[0] - HELD * (friction == 0.0), *BOUNDS[1:])).all()
+    assert all(alone.force[2] == 0 for alone, _ in known[5]) and all(alone.force[2] < 0 for alone, _ in known[6])
+    assert friction == 0.0 or max(np.linalg.norm(bent) for each in known for _, bent in each) > 5 * BOUNDS[2]  # it does bend
+
+
+def test_a_soft_batch_with_a_fault_is_told_from_each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = soft_scene("box", 0.5, **DOME)
+    known = soft_alone(scene, WALK[:3])
+    assert np.less(soft_apart(scene, WALK[:3], known), BOUNDS).all()
+    springs, placed, made = Layers.springs, Spring.compliance, Answers.__init__
+
+    def alike(self: Answers, *of: Any, facing: tuple[int, int] | None = None) -> None:
+        made(self, *of, facing=facing)
+        self._nodes[:, 4:] *= 1 if facing is None else -1
+
+    faults = (
+        (Layers, "springs", lambda self, compliance, apex: 0 * springs(self, compliance, apex)),  # no springs
+        (Layers, "springs", lambda self, compliance, apex: springs(self, compliance, 0 * apex)),  # about the middle of the gel
+        (Spring, "compliance", lambda self, turn, load, low, squash: placed(self, turn, load, low, 0 * squash)),  # it keeps its height
+        (Spring, "compliance", lambda self, turn, load, low, squash: placed(self, turn, 0 * load, low, squash)),  # a load does not bend it
+        (Spring, "compliance", lambda self, turn, *of: placed(self, torch.eye(3).double().expand_as(turn), *of)),  # its springs do not turn
+        (batch, "BENDINGS", 0),  # it touches where its base is
+        (Answers, "__init__", alike),  # a face that looks the same way
+    )
+    for where, name, fault in faults:
+        with monkeypatch.context() as planted:
+            planted.setattr(where, name, fault)
+            assert np.greater(soft_apart(scene, WALK[:3], known), BOUNDS).any(), name
+
+
+def test_a_soft_one_that_is_refused_leaves_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "FLATTEST", 0.95)
+    many, still = LiveBatch(soft_scene("ball"), 2, image=False, device="cpu"), pose(0.0, 0.0, -0.1)
+    before = many.step(np.array([still, still]), 0.01)
+    for at, said in (
+        (pose(0.0, 0.0, -0.3, about(0, 30.0)), r"poses\[1\]: the object leans by (2[0-9]|30)°; .* allowed are 20°"),
+        (pose(0.0, 0.0, -1.3), r"poses\[1\]: the soft object, 6 mm high, is pressed flat"),
+    ):
+        with pytest.raises(SceneError, match=said):
+            many.step(np.array([still, at]), 0.01)
+        assert torch.allclose(many.step(np.array([still, still]), 0.01).force, before.force, rtol=FORCE, atol=1e-6)
 
 
 def test_a_block_of_threads_shares_a_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,14 +238,16 @@ def test_a_picture_is_that_of_a_sensor_alone(monkeypatch: pytest.MonkeyPatch) ->
     assert np.abs(frame.image[1].numpy().astype(int) - known.astype(int)).mean() > 0.5  # planted: the gel at rest
 
 
-def test_a_sensor_answers_as_if_the_others_were_not_there() -> None:
-    """What stops one is its own; sums are rounded differently, which may stop it a step later: 1e-3 of the overlap."""
-    scene = ball_scene()
+@pytest.mark.parametrize("scene", [ball_scene(), ball_scene(0.0, **DOME), soft_scene("box")], ids=["rigid", "frictionless", "soft"])
+def test_a_sensor_answers_as_if_the_others_were_not_there(scene: Scene) -> None:
+    """What stops one is its own; sums are rounded differently, which may stop it a step later: 1e-3 of the overlap. Without friction, on a
+    dome, they settle in different rounds."""
     batch, alone = LiveBatch(scene, 3, image=False, device="cpu"), LiveBatch(scene, 1, image=False, device="cpu")
     for x, y, z in WALK[:4]:
         poses = np.array([pose(x, y, z), pose(-x, 2 * y, 0.5 * z), pose(0.0, 0.0, 1.0)])
         frame, known = batch.step(poses, 0.01), alone.step(poses[:1], 0.01)
         assert torch.allclose(frame.force[0], known.force[0], rtol=FORCE, atol=FORCE * 1e-2)
+        assert torch.allclose(frame.height[0], known.height[0], atol=1e-6)
         assert not frame.force[2].any() and not (frame.contact[2] >= 0).any()
 
 
@@ -149,8 +266,8 @@ def test_sensors_that_are_done_do_not_move_while_others_search(monkeypatch: pyte
         assert len(taken) < layer.STEPS / 2  # of all searches of a step together: some 30
 
 
-def test_resets_forget_what_was_and_nothing_else() -> None:
-    scene = ball_scene()
+@pytest.mark.parametrize("scene", [ball_scene(), soft_scene("ball")], ids=["rigid", "soft"])
+def test_resets_forget_what_was_and_nothing_else(scene: Scene) -> None:
     batch = LiveBatch(scene, 2, image=False, device="cpu")
 
     def walked() -> list[BatchFrame]:
@@ -175,8 +292,8 @@ def test_of_several_objects_each_tells_its_own_force() -> None:
     for x, z in ((0.0, -0.2), (0.0, -0.3), (0.05, -0.3)):
         ball, brick = pose(-3.0 + x, 0.0, z), pose(3.0, x, 0.5 * z)
         both = pair.step(np.array([[ball, brick]]), 0.01)
-        for number, (batch, where) in enumerate(((ball_alone, ball), (box_alone, brick))):
-            known = batch.step(np.array([where]), 0.01)
+        for number, (alone, where) in enumerate(((ball_alone, ball), (box_alone, brick))):
+            known = alone.step(np.array([where]), 0.01)
             assert torch.allclose(both.force[0, number], known.force[0, 0], atol=0.06 * float(-known.force[0, 0, 2]))
         assert set(both.contact.unique().tolist()) == {-1, 0, 1}
     pair.reset()
@@ -207,8 +324,8 @@ def test_bad_input_is_named_and_leaves_the_gels_as_they_were() -> None:
         LiveBatch(scene, 0)
     with pytest.raises(SceneError, match="objects"):
         LiveBatch(scene, 1, ())
-    with pytest.raises(SceneError, match="rigid"):
-        LiveBatch(scene, 1, (replace(scene.object, rigid=False),), image=False)
+    with pytest.raises(SceneError, match="several with rigid = true, or a single soft one"):
+        LiveBatch(scene, 1, (scene.object, soft_scene("ball").object), image=False)
     if not torch.cuda.is_available():
         with pytest.raises(RenderError, match="no GPU"):
             gelsim.LiveBatch(scene, 1, device="cuda")
