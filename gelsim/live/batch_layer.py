@@ -181,7 +181,7 @@ class Layers:
         ways = torch.as_tensor(by, device=self.device).expand(len(apex), -1, -1, -1).clone()
         ways[..., 0] -= (ways[..., 1:] @ apex[:, None, :, None])[..., 0]  # x and y are beside the apex
         ways = ways.flatten(2)
-        found = self._cell[0] * self._cell[1] * (ways.transpose(1, 2) @ compliance @ ways)
+        found = float(np.prod(self.layer.cell)) * (ways.transpose(1, 2) @ compliance @ ways)
         found[:, :, UP] *= -1  # pressure is down
         return found.float()
 
