@@ -18,10 +18,11 @@ EDGE_POINTS = 12
 """Quadrature points on a face where sharp edges of a rigid object touch the gel, on meshes that resolve them: at `balanced` a star and a
 prism overlap by 62 and 25 µm with six, in 185 and 56 iterations, with twelve by 19 and 19 in 50 and 44, for the same force; 48 change
 nothing. At `fast` twelve are 3 to 7 % stiffer there."""
-COARSE_POINTS = 48
-"""The same of all else at `fast`. There the faces of a soft object may be shorter than the gel's, and a middle of their sides pokes through
-between its points: by 239 µm of a ball with twelve, by 13 with 48. Of a hundred random scenes (`docs/studies/random_scenes.py --seeds 4001
---scenes 100`) 74 % overlap by at most 20 µm with twelve, 92 % with 48, in as many iterations, forces 0.05 % apart in the median."""
+SOFT_POINTS = 48
+"""The same of what is soft at `fast`, whose faces may be shorter than the gel's, so that a middle of their sides pokes through between its
+points: by 239 µm of a ball with twelve, by 13 with 48. Of a hundred random scenes (`docs/studies/random_scenes.py --seeds 4001 --scenes
+100`) 74 % overlap by at most 20 µm with twelve, 92 % with 48, in as many iterations, forces 0.05 % apart in the median. A rigid ball's loop
+of friction at `fast` is 5 % too small with 48, 2 % too large with six."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,10 @@ WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_waste
 
 def contact_points(scene: Scene) -> int:
     """Quadrature points on a face of the gel with which a press is tried first."""
-    sharp = scene.object.rigid and len(rims_on_gel(scene)) > 0
-    if scene.fidelity == "fast":
-        return PLAIN.contact_points if sharp else COARSE_POINTS
-    return EDGE_POINTS if sharp else PLAIN.contact_points
+    coarse = scene.fidelity == "fast"
+    if scene.object.rigid:
+        return EDGE_POINTS if not coarse and len(rims_on_gel(scene)) > 0 else PLAIN.contact_points
+    return SOFT_POINTS if coarse else PLAIN.contact_points
 
 
 def tries(
