@@ -226,7 +226,7 @@ class _March:
         """The last equilibrium."""
         self._previous: _State | None = None
         self._leg, self._spacing, self._smallest = 1, np.inf, 1.0
-        self._rate = self._stiffness = self._approach = 0.0
+        self._stiffness = self._approach = 0.0
         self._before = 0.0, 0.0
         """Approach [m] and normal force [N] of the equilibrium before the last."""
         self._snapped = False
@@ -383,12 +383,17 @@ class _March:
 
     def _arrive(self, state: _State, force: float) -> None:
         """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""
-        travel = state.approach - self.approach
-        self._rate = (force - self.normal_force) / travel if travel > 0.0 else 0.0
         self._before = self.approach, self.normal_force
-        self._stiffness = self._rate or self._stiffness
         self.most = max(self.most, (force, state.approach))
         self.here, self.time, self.approach, self.normal_force = state, state.time, state.approach, force
+        self._stiffness = self._rate or self._stiffness
+
+    @property
+    def _rate(self) -> float:
+        """Of the normal force by the approach in the last step down [N/m]; 0 where that was none."""
+        approach, force = self._before
+        travel = self.approach - approach
+        return (self.normal_force - force) / travel if travel > 0.0 else 0.0
 
     def deformation(self, end: PressEnd, message: str) -> Deformation:
         """What was recorded, and what of it is known beside the states."""

@@ -21,8 +21,8 @@ nothing. At `fast` twelve are 3 to 7 % stiffer there."""
 SOFT_POINTS = 48
 """The same of what is soft at `fast`, whose faces may be shorter than the gel's, so that a middle of their sides pokes through between its
 points: by 239 µm of a ball with twelve, by 13 with 48. Of a hundred random scenes (`docs/studies/random_scenes.py --seeds 4001 --scenes
-100`) 74 % overlap by at most 20 µm with twelve, 92 % with 48, in as many iterations, forces 0.05 % apart in the median. A rigid ball's loop
-of friction at `fast` is 5 % too small with 48, 2 % too large with six."""
+100`) 74 % overlap by at most 20 µm with twelve, 92 % with 48 in as many iterations, 97 % with `SOFT_OVERLAP_MM` too; forces are 0.05 %
+apart in the median. A rigid ball's loop of friction at `fast` is 5 % too small with 48, 2 % too large with six."""
 
 
 @dataclass(frozen=True)

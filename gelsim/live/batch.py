@@ -352,7 +352,7 @@ class LiveBatch:
     def _increment(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor) -> None:
         """One, of the sensors that go on; again from where a soft object's apex lies once it is bent, up to BENDINGS times."""
         each = (heights - self._rest).amin(dim=(2, 3))
-        known, found = self._state, self._moved(going, turn, shift, heights, owner, self._state)
+        known, found = self._state, self._moved(going, turn, shift, heights, owner, each, self._state)
         again = going
         for _ in range(BENDINGS if self._spring is not None else 0):
             again = again & ((found.aside - known.aside).norm(dim=1) >= STILL_MM)
@@ -360,7 +360,7 @@ class LiveBatch:
                 break
             heights, owner = self._seen(turn, shift, found.aside)
             each = torch.where(again[:, None], (heights - self._rest).amin(dim=(2, 3)), each)
-            known, found = found, self._moved(again, turn, shift, heights, owner, found)
+            known, found = found, self._moved(again, turn, shift, heights, owner, each, found)
         if self._spring is not None:
             worst = int(found.body[:, 1].argmin())
             soft.check_flat(f"poses[{worst}]", float(found.body[worst, 1]), self._spring.height, self._flattest)
@@ -369,10 +369,13 @@ class LiveBatch:
         self._turn, self._shift = torch.where(at[..., None, None], turn, self._turn), torch.where(at[..., None], shift, self._shift)
         self._clear = torch.where(at, each.clamp(min=0.0), self._clear)
 
-    def _moved(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor, known: State) -> State:
-        """Pressure, shear and thickness that go with each other at the new poses, of the sensors that go on; `known`: their first guess,
-        which of soft objects says how they are bent, and the state of the others."""
-        each = (heights - self._rest).amin(dim=(2, 3))
+    def _moved(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor, each: Tensor, known: State) -> State:
+        """Pressure, shear and thickness that go with each other at the new poses, of the sensors that go on.
+
+        Args:
+            each: Least height of each object over the gel at rest (n, objects) [mm].
+            known: Their first guess, which of soft objects says how they are bent, and the state of the others.
+        """
         touching = going & (each.amin(dim=1) < 0)
         if self._spring is not None:
             upright = torch.where(touching, turn[:, 0, 2, 2], 1.0)
