@@ -59,20 +59,18 @@ class ResultFolder:
             SceneError: It holds files and neither `force` nor `resume` was given, is no folder, or cannot be written to.
         """
         self.path = path
-        if path.exists() and not path.is_dir():
-            raise SceneError(f"--out {path}: is a file, not a folder")
         try:
+            if path.exists() and not path.is_dir():
+                raise SceneError(f"--out {path}: is a file, not a folder")
             if path.is_dir() and any(path.iterdir()) and not (force or resume):
                 raise SceneError(
                     f"--out {path}: the folder is not empty; give --force to replace results in it, --resume to go on, or another name"
                 )
-            made = [folder for folder in (path, *path.parents) if not folder.exists()]
-            path.mkdir(parents=True, exist_ok=True)
-            trial = path / f".gelsim-{os.getpid()}.partial"
+            # In a folder that is there: one made for the trial and removed again may be another worker's to write into.
+            there = next(folder for folder in (path, *path.parents) if folder.exists())
+            trial = there / f".gelsim-{os.getpid()}.partial"
             trial.touch()
             trial.unlink()
-            for folder in made:
-                folder.rmdir()
         except OSError as error:
             raise SceneError(f"--out {path}: cannot be written to ({error.strerror}); give another folder") from None
 

@@ -178,6 +178,13 @@ def test_folder_refuses_what_is_there(tmp_path: Path) -> None:
         outputs.ResultFolder(tmp_path / "full" / "mine.txt" / "below")
 
 
+def test_a_check_takes_no_folder_from_another_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that the check made would be removed by it, perhaps while another worker makes its own below."""
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "mkdir", lambda *_, **__: pytest.fail("a check made a folder"))
+        outputs.ResultFolder(tmp_path / "out" / "a")
+
+
 def test_folder_comes_with_its_first_whole_file(tmp_path: Path) -> None:
     folder = outputs.ResultFolder(tmp_path / "new" / "deep")
     assert not (tmp_path / "new").exists()
