@@ -58,8 +58,11 @@ class EnergyBalance:
         self._legs.append(len(self._power))
         self._moved = self.problem.solids.displacement.numpy()[self.problem.driven]
 
-    def step(self, time: float, approach: float) -> None:
-        """Takes in the equilibrium at a time [s] and an approach [m], before the contact settles."""
+    def step(self, time: float, approach: float, *, apart: bool = False) -> None:
+        """Takes in the equilibrium at a time [s] and an approach [m], before the contact settles. `apart`: the object went there faster or
+        slower than before."""
+        if apart:
+            self._legs.append(len(self._power))
         problem, contact, before = self.problem, self.problem.contact, self._held
         internal, reaction = self._forces()
         if problem.memory is None:

@@ -445,7 +445,8 @@ def distance_field(scene: Scene) -> DistanceField:
     # in whole steps, so that poses that differ a little share a grid
     begin = np.maximum(np.floor(corners.min(axis=0) / STEP_MM) * STEP_MM, first - MARGIN_MM)
     end = np.minimum(np.ceil(corners.max(axis=0) / STEP_MM) * STEP_MM, last + MARGIN_MM)
-    return kept_field(scene.object, stamp, tuple(begin), tuple(end), spacing(scene.object))
+    step = spacing(scene.object, scene.fidelity)
+    return kept_field(scene.object, stamp, tuple(begin), tuple(end), step, rim_radius(scene.object, step, scene.fidelity))
 
 
 @lru_cache(maxsize=16)
@@ -456,9 +457,12 @@ def _extent(body: Body, stamp: tuple[int, ...]) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=16)
-def kept_field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...], step: float) -> DistanceField:
-    """The field of an object over a box (its corners [mm]) in steps [mm]; of a file it is kept between runs. `stamp`: its `file_stamp`."""
-    low, high, rim = np.array(begin), np.array(end), rim_radius(body, step)
+def kept_field(
+    body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end: tuple[float, ...], step: float, rim: float
+) -> DistanceField:
+    """The field of an object over a box (its corners) in steps, its edges rounded by `rim` (all in mm); of a file it is kept between runs.
+    `stamp`: its `file_stamp`."""
+    low, high = np.array(begin), np.array(end)
     if not shapes.of_file(body):
         return sampled(exact_distance(body), low, high, step, rim)
     surface = shapes.object_surface(body, edge_length=np.inf, chord=1e-5)
@@ -475,14 +479,14 @@ def kept_field(body: Body, stamp: tuple[int, ...], begin: tuple[float, ...], end
     return field
 
 
-def rim_radius(body: Body, step: float) -> float:
+def rim_radius(body: Body, step: float, fidelity: str = "balanced") -> float:
     """Of its edges [mm], no sharper than a grid of a spacing [mm] resolves."""
-    return max(outlines.edge_radius(body) * MM_PER_M, ROUNDING * step)
+    return max(outlines.edge_radius(body, fidelity) * MM_PER_M, ROUNDING * step)
 
 
-def spacing(body: Body) -> float:
+def spacing(body: Body, fidelity: str = "balanced") -> float:
     """Of the grid that gives edges their radius and follows what is round [mm]."""
-    radius = max(outlines.edge_radius(body) * MM_PER_M, SHARPEST_MM)
+    radius = max(outlines.edge_radius(body, fidelity) * MM_PER_M, SHARPEST_MM)
     finest = min(radius / ROUNDING, max(radius / LARGE, EVERY_MM))
     round_parts = [outlines.fine_feature(body) * MM_PER_M / 2]
     if shapes.has_profile(body):

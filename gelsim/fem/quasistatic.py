@@ -67,6 +67,7 @@ LONGEST_STEP = 1e-3  # [m]
 FIRST_HOLD_STEP, HOLD_STEP_GROWTH = 0.2, 1.5  # of a hold: first step over the shortest relaxation time, and each over the last
 FIRST_LOOK = 0.2  # of FIRST_STEP: how far a leg to a force looks first, where nothing says yet how stiff the contact is
 MOST_LOOKS = 12  # for the approach of a force, in one step
+MOST_STEPS_NEARER = 4  # to that force, where a search ended: one is usual
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,8 @@ class Course:
     """Approach [m] at which the press ends, what it ends at there, and why no further: once a try has found it and not recorded the way."""
     searched: bool = False
     """Whether that was found by going on from another search, so that all are to begin again."""
+    lost_at: float = np.inf
+    """Approach [m] at which that other was lost: the first that records hands over there, as the next found the rest of the way."""
 
 
 def run_press(
@@ -154,6 +157,7 @@ def march_press(
         found = search.found()
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
+            course.lost_at = search.approach
             return search.deformation(PressEnd.LOST, "")
         course.before = None
         if before is not None:
@@ -165,6 +169,8 @@ def march_press(
     depth, end, beyond = found
     if march is None:
         march = _March(problem, straight(press, depth * MM_PER_M), record, press.force_n)
+        march.until = course.lost_at if course.followed and before is None else np.inf
+        march.meets = press.depth_mm is None and end is PressEnd.FORCE
         yield from march.run(progress, before)
     message, end = "", PressEnd.FORCE if march.stopped else PressEnd.GAVE_WAY if march.gave_way else end
     if march.status is not SolveStatus.CONVERGED:
@@ -233,6 +239,10 @@ class _March:
         self._iterations = self._factorisations = self._wasted = 0
         self.most, self.gave_way = (0.0, 0.0), False
         """Largest normal force [N] so far, and the approach [m] there."""
+        self.until = np.inf
+        """Approach [m] of the first leg at which it is known to be lost."""
+        self.meets = False
+        """Whether a search found the force that ends it where the first leg ends."""
 
     def run(self, progress: Progress | None, before: _March | None = None) -> Marching:
         """Marches to the end of the way, the force, or a step that cannot be made any smaller; records at the times that the way says.
@@ -280,12 +290,16 @@ class _March:
             spacing = FIRST_HOLD_STEP * float(memory.times[memory.shares > 0.0].min())
             step, longest, growth = min(spacing, end - begin), np.inf, HOLD_STEP_GROWTH
         self._spacing = spacing
+        until = end * self.until * MM_PER_M / way.approach[leg] if leg == 1 and np.isfinite(self.until) else np.inf
         while self.time < end * (1 - 1e-12):
+            if self.time >= until * (1 - 1e-9):
+                self.status, self.message = SolveStatus.MAX_ITERATIONS, f"at approach {self.approach * MM_PER_M:.4g} mm, as the search was"
+                return False
             number = len(self.recorder.approach)
             recorded = way.recorded[number] if number < len(way.recorded) else np.inf
             target = float(recorded if recorded <= end * (1 + 1e-12) else end)
             new = target if target - (here.time + step) < 1e-6 * spacing else here.time + step
-            new = min(new, self._at_force())
+            new = min(new, self._at_force(), until)
             if not (yield from self._attempt_step(here, new)):
                 if self._gives_way(self.normal_force, 1 - FORCE_TOLERANCE) or self._out_of_reach():
                     return self._end_here(progress)
@@ -305,7 +319,16 @@ class _March:
                 self.way = way = way.stays_from(leg, new)
                 target = recorded = end = new
             approach = self._approach if way.by_force[leg] else way.at(leg, new)[0] / MM_PER_M
-            self.energy.step(new, approach)
+            moved = False
+            if self.meets and not self.stopped and leg == 1 and new >= end * (1 - 1e-12):
+                met = yield from self._nearer(here, new, (approach, force), self._rate)
+                if met is None:
+                    step, easy, self.halved = (new - here.time) / 2, 0, self.halved + 1
+                    continue
+                approach, force = met
+                moved = True
+                self.stopped = abs(force - self.stop_n) <= FORCE_TOLERANCE * self.stop_n
+            self.energy.step(new, approach, apart=moved)
             self._settle()
             # a way that jumped says nothing of how it goes on
             self._previous, here = None if self._snapped else here, self._state(new, approach)
@@ -609,6 +632,28 @@ class _March:
         self.status, self.message = SolveStatus.CONVERGED, ""
         return high
 
+    def _nearer(
+        self, here: _State, new: float, solved: tuple[float, float], rate: float
+    ) -> Generator[Request, NewtonReport, tuple[float, float] | None]:
+        """From what was solved (approach [m], normal force [N]) at a time [s], the end of a way that a search found, nearer to the force
+        that ends it: the way's steps leave another overlap than the search's, and shear takes some of the force.
+
+        `rate`: of the force by the approach [N/m]. None where no equilibrium was found.
+        """
+        wanted, (approach, force) = self.stop_n, solved
+        assert wanted is not None
+        for _ in range(MOST_STEPS_NEARER):
+            if abs(force - wanted) <= FORCE_TOLERANCE * wanted or rate <= 0.0:
+                break
+            last, before = approach, force
+            approach += (wanted - force) / rate
+            if not (yield from self._attempt(here, new, approach)):
+                return None
+            force = -self.problem.contact_force()[2]
+            found = (force - before) / (approach - last)
+            rate = found if found > 0.0 else rate
+        return approach, force
+
 
 def _approach_of(force: float, one: tuple[float, float], other: tuple[float, float]) -> float:
     """The approach [m] of a normal force [N] on the power law through two states (approach, force); on a line where one bears none."""
@@ -650,7 +695,7 @@ class _Search(_March):
 
     def record_way(self, depth: float, states: int, progress: Progress | None) -> Generator[Request, NewtonReport, bool]:
         """Records equally spaced states to `depth` [m], each a step from the one before it on the way; whether all were found."""
-        self.recorder = self.record(self.problem)
+        self.recorder, rate = self.record(self.problem), self._rate
         places = np.array([state.approach for state in self.trail])
         speed = self.problem.scene.press.speed_mm_s / MM_PER_M
         self.way = straight(self.problem.scene.press, depth * MM_PER_M)
@@ -662,7 +707,12 @@ class _Search(_March):
             yield from self._return_to(here, LOOKED_MM)
             if number > 0 and not (yield from self._attempt(here, target / speed, target)):
                 return False
-            self.time, self.approach = target / speed, target
+            if number == states - 1 and self.stopped:
+                met = yield from self._nearer(here, target / speed, (target, -self.problem.contact_force()[2]), rate)
+                if met is None:
+                    return False
+                target = met[0]
+            self.time, self.approach = depth * number / (states - 1) / speed, target
             self._keep(progress)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return True

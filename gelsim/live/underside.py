@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.fem.field import MARGIN_MM, DistanceField, kept_field, spacing
+from gelsim.fem.field import MARGIN_MM, DistanceField, kept_field, rim_radius, spacing
 from gelsim.live.layer import between, keep
 from gelsim.scene.definition import Body
 from gelsim.shape import shapes
@@ -53,7 +53,7 @@ def whole_field(body: Body) -> tuple[DistanceField, Array]:
     vertices = shapes.object_surface(body, edge_length=np.inf, chord=1e-5).vertices * MM_PER_M
     low, high = vertices.min(axis=0) - MARGIN_MM, vertices.max(axis=0) + MARGIN_MM
     step = max(spacing(body), float((np.prod(high - low) / MOST_SAMPLES) ** (1 / 3)))
-    return kept_field(body, file_stamp(body), tuple(low), tuple(high), step), vertices
+    return kept_field(body, file_stamp(body), tuple(low), tuple(high), step, rim_radius(body, step)), vertices
 
 
 class Underside:

@@ -34,7 +34,7 @@ from gelsim.mesh.bisection import UNIT, Lattice, Tets, cells_across, kuhn_box, r
 from gelsim.mesh.contact_area import contact_field, core, edge_in_contact, footprint
 from gelsim.mesh.rim_edges import lay_edges
 from gelsim.mesh.sizing import SIZES, Footprint, MeshSizes, SizeField
-from gelsim.scene.definition import Body, Gel, Scene
+from gelsim.scene.definition import Gel, Scene
 from gelsim.shape.outlines import edge_radius
 from gelsim.shape.rims import rims_on_gel
 from gelsim.shape.shapes import gel_height
@@ -68,7 +68,7 @@ def mesh_gel(scene: Scene, symmetry: frozenset[str] = frozenset()) -> TetMesh:
     rims = rims_on_gel(scene)
     sizes, area = SIZES[scene.fidelity], _unmirrored(footprint(scene), rims)
     if scene.fidelity != "fast":
-        sizes = replace(sizes, rim=_rim(scene.object, sizes) / LONGER_ACROSS)
+        sizes = replace(sizes, rim=_rim(scene, sizes) / LONGER_ACROSS)
     # a soft edge gives way, and is met as well without parallels; at `fast` they would be nearer than faces are long
     beside = sizes.rim if scene.object.rigid and scene.fidelity != "fast" else 0.0
     x, y, thickness = (v * MM for v in (scene.gel.size_mm[0] / 2, scene.gel.size_mm[1] / 2, scene.gel.thickness_mm))
@@ -100,9 +100,9 @@ def _whole(mesh: TetMesh, area: Footprint, symmetry: frozenset[str]) -> TetMesh:
     return mirrored(mesh, symmetry)
 
 
-def _rim(body: Body, sizes: MeshSizes) -> float:
+def _rim(scene: Scene, sizes: MeshSizes) -> float:
     """Edge length along rims [m]: short enough for the radius of a rigid object's, if that has one."""
-    radius = edge_radius(body) if body.rigid else 0.0
+    radius = edge_radius(scene.object, scene.fidelity) if scene.object.rigid else 0.0
     return min(sizes.rim, max(RIM_PER_RADIUS * radius, sizes.finest)) if radius else sizes.rim
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gelsim.geometry import FACE_EDGES, PlanarMesh, edges_of
 from gelsim.mesh.sizing import OBJECT_COARSER, SIZES, Footprint, MeshSizes, SizeField, contact_edge
-from gelsim.scene.definition import Body, Scene
+from gelsim.scene.definition import Scene
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.outlines import edge_radius, profile, rounded
 from gelsim.shape.shapes import gel_height, press_depth
@@ -54,12 +54,12 @@ def mesh_profiles(scene: Scene, *, finer: float | None = None, gel_end: float | 
     """
     sizes, depth = SIZES[scene.fidelity], press_depth(scene)
     finer = finer or FINER[scene.fidelity]
-    segments = _pressed(scene.object)
+    segments = _pressed(scene)
     turned = SHAPES[scene.object.shape].turned
     end = gel_end or (gel_radius(scene) if turned else scene.gel.size_mm[0] * MM / 2)
     half = min(overlap(scene) + _MARGIN, end)
     edge = contact_edge(Footprint((0.0, 0.0), (half, half), 1.0), sizes)
-    radius = edge_radius(scene.object) if scene.object.rigid else 0.0
+    radius = edge_radius(scene.object, scene.fidelity) if scene.object.rigid else 0.0
     ends = [before.end for before, after in zip(segments[:-1], segments[1:], strict=True) if _sharp(before, after)]
     arcs = [np.mean([segment.start, segment.end], axis=0) for segment in segments if 0.0 < segment.radius <= radius]
     rims, rounds = (_touched(np.reshape(some, (-1, 2)), depth, end) for some in (ends, arcs))
@@ -81,13 +81,14 @@ def _touched(points: Array, depth: float, end: float) -> Array:
     return points[(points[:, 1] < depth) & (points[:, 0] < end * (1 - 1e-3))]
 
 
-def _pressed(body: Body) -> tuple[Segment, ...]:
-    return rounded(profile(body), edge_radius(body)) if body.rigid else profile(body)
+def _pressed(scene: Scene) -> tuple[Segment, ...]:
+    body = scene.object
+    return rounded(profile(body), edge_radius(body, scene.fidelity)) if body.rigid else profile(body)
 
 
 def overlap(scene: Scene) -> float:
     """Half width [m] of the overlap of undeformed object and gel at full depth, centred."""
-    line = np.vstack([_fine(segment) for segment in _pressed(scene.object)])
+    line = np.vstack([_fine(segment) for segment in _pressed(scene)])
     inside = line[:, 1] - gel_height(scene.gel, line * [1.0, 0.0]) < press_depth(scene)
     return float(line[inside, 0].max())
 

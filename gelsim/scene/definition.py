@@ -181,8 +181,8 @@ class Body:
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
     """Of the object about x, then y, then z, before its apex is found; press.tilt_deg turns it about the apex."""
     edge_radius_mm: float | None = None
-    """Radius of a rigid object's rims and edges (0.1 by default, a quarter of its smallest feature at most, 0 for a punch). 0: as sharp as
-    can be resolved, 0.04."""
+    """Radius of a rigid object's rims and edges (0.1 by default, 0.2 at `fast`, a quarter of its smallest feature at most, 0 for a punch).
+    0: as sharp as can be resolved, 0.04."""
     rigid: bool = False
     """True: the object does not deform; no finite elements for it, only its surface."""
     shore_00: float | None = None

@@ -54,8 +54,8 @@ def off(scene: Scene) -> tuple[float, float]:
     variance of a third of the spacing squared, an arc by half of that over its radius, and a corner has two curvatures."""
     quiet_warp()
     turn, shift = rigid_placement(scene)
-    step = spacing(scene.object)
-    radius = rim_radius(scene.object, step)
+    step = spacing(scene.object, scene.fidelity)
+    radius = rim_radius(scene.object, step, scene.fidelity)
     return lowest(scene, turn, shift * MM_PER_M, radius), step**2 / 3 / radius
 
 
