@@ -585,8 +585,8 @@ def test_a_search_for_a_force_records_its_own_way() -> None:
 
 @pytest.mark.parametrize("shear_mm", [0.0, 0.3])
 def test_a_press_ends_at_its_force_where_its_search_ended_beside_it(shear_mm: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Planted: the search says a tenth less of the way; the force goes as the depth to the power of 1.5. On these coarse faces 2 % of the
-    energy drifts without it; were the last step's speed that of those before it, some 10 %."""
+    """Planted: the search says a tenth less of the way; the force goes as the depth to the power of 1.5. These coarse faces
+    lose 0.7 and 2 % of the work; were the last step taken to be as fast as those before it, the sheared press would gain 0.9 %."""
     scene = ball_scene(0.6, 4, friction=0.8, radius_mm=5.0, shear_mm=(shear_mm, 0.0))
     to_force = scene.replace(press=replace(scene.press, depth_mm=None, force_n=0.2))
     gel, found = flat_gel(1.5, 3.0, 4, 6.0, 3.0), quasistatic._Search.found
@@ -597,7 +597,7 @@ def test_a_press_ends_at_its_force_where_its_search_ended_beside_it(shear_mm: fl
 
     def off() -> float:
         press = run_press(problem_of(to_force, gel, rigid_body(to_force, gel)))
-        assert press.report.ended_by is PressEnd.FORCE and press.report.energy is not None and abs(press.report.energy.drift) < 0.03
+        assert press.report.ended_by is PressEnd.FORCE and press.report.energy is not None and 0.0 < press.report.energy.drift < 0.03
         return abs(-press.force[-1, 2] / 0.2 - 1.0)
 
     monkeypatch.setattr(quasistatic._Search, "found", short)
