@@ -8,8 +8,9 @@ from typing import Any
 
 from gelsim.bench.section import Case, Layer, Row
 from gelsim.errors import GelsimError, SolveStatus
-from gelsim.fem.problem import PressProblem
+from gelsim.fem.problem import Numerics, PressProblem
 from gelsim.fem.quasistatic import run_press
+from gelsim.fem.strategy import contact_points
 from gelsim.pipeline import stages
 from gelsim.results import Deformation
 from gelsim.scene import materials
@@ -92,5 +93,6 @@ def solved_problem(scene: Layer) -> tuple[PressProblem, Deformation]:
     """
     made = build_scene(scene)
     gel, body, placement = stages.bodies(made)
-    problem = PressProblem(made, gel, body, placement, materials.press_materials(made), "cpu")
+    numerics = Numerics(contact_points=contact_points(made))
+    problem = PressProblem(made, gel, body, placement, materials.press_materials(made), "cpu", numerics)
     return problem, run_press(problem, throw=False)

@@ -65,7 +65,7 @@ def solve_press(
 ) -> Deformation:
     """Solves a press; one that ends where no equilibrium is found is tried again (`strategy.WAYS`); the one that got furthest is returned.
 
-    The second try goes on from where the first stands, with 24 contact points a face at least and volume held at points too; where that
+    The second try goes on from where the first stands, with twelve contact points a face at least and volume held at points too; where that
     does not get there soon, the third begins so at rest. Its report says so. Volume held at points keeps crushed tets from folding, and
     makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
 

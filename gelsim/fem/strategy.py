@@ -14,14 +14,15 @@ from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
 from gelsim.shape.rims import rims_on_gel
 
-MORE_POINTS = 24
-"""Quadrature points on a face where six let a rigid object through: at `fast`, and where sharp edges touch the gel. Nineteen random scenes
-at `fast` overlap by 25, 16, 14, 12 µm in the median with 6, 12, 24, 48, in 756, 898, 696, 901 iterations; four loops of a ball's friction
-are 7.8, 11.6, 5.9, 3.8 % RMS off those of `balanced`. With 24 smooth contact at `balanced` is no more exact: 6 stay."""
-SOFT_POINTS = 48
-"""The same of what is soft at `fast`, whose faces may be shorter than the gel's, so that a middle of their sides pokes through between its
-points: by 239 µm of a ball with twelve, by 13 with 48. Of a hundred random scenes (`docs/studies/random_scenes.py --seeds 4001 --scenes
-100`) 88 % overlap by at most 20 µm with 24, 96 % with 48, in as many iterations."""
+EDGE_POINTS = 12
+"""Quadrature points on a face where sharp edges of a rigid object touch the gel, on meshes that resolve them: at `balanced` a star and a
+prism overlap by 62 and 25 µm with six, in 185 and 56 iterations, with twelve by 19 and 19 in 50 and 44, for the same force; with 24 edges
+are as straight, and a sticking sharp punch takes 82 iterations for 45."""
+RIGID_POINTS, SOFT_POINTS = 24, 48
+"""The same at `fast`. Nineteen rigid random scenes overlap by 25, 16, 14, 12 µm in the median with 6, 12, 24, 48, in 756, 898, 696, 901
+iterations; four loops of a ball's friction are 7.8, 11.6, 5.9, 3.8 % RMS off those of `balanced`. Soft objects' faces may be shorter than
+the gel's, so that a middle of their sides pokes through between its points: of a hundred random scenes (`docs/studies/random_scenes.py
+--seeds 4001 --scenes 100`) 74, 88, 96 % overlap by at most 20 µm with 12, 24, 48, in as many iterations."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +39,17 @@ class Try:
     """Begins where the try before it ended, not at rest."""
 
 
-PLAIN, HELD = Try(), Try(MORE_POINTS, held=20.0)
+PLAIN, HELD = Try(), Try(EDGE_POINTS, held=20.0)
 WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_wasted=SOON), HELD)
 """The tries that a press may have, one after the other until one reaches its end."""
 
 
 def contact_points(scene: Scene) -> int:
     """Quadrature points on a face of the gel with which a press is tried first."""
-    coarse = scene.fidelity == "fast"
-    if scene.object.rigid:
-        return MORE_POINTS if coarse or len(rims_on_gel(scene)) > 0 else PLAIN.contact_points
-    return SOFT_POINTS if coarse else PLAIN.contact_points
+    rigid = scene.object.rigid
+    if scene.fidelity == "fast":
+        return RIGID_POINTS if rigid else SOFT_POINTS
+    return EDGE_POINTS if rigid and len(rims_on_gel(scene)) > 0 else PLAIN.contact_points
 
 
 def tries(

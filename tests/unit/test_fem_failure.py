@@ -455,7 +455,7 @@ STICKY = build_scene({
 @pytest.mark.parametrize(
     ("shape", "rigid", "fidelity", "points"),
     [
-        ("box", True, "balanced", 24), ("box", True, "reference", 24), ("box", True, "fast", 24), ("hemisphere", True, "balanced", 6),
+        ("box", True, "balanced", 12), ("box", True, "reference", 12), ("box", True, "fast", 24), ("hemisphere", True, "balanced", 6),
         ("flat", True, "balanced", 6), ("hemisphere", False, "fast", 48), ("hemisphere", True, "fast", 24), ("box", False, "balanced", 6),
     ],
 )  # fmt: skip
