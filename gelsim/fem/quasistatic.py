@@ -322,11 +322,10 @@ class _March:
             moved = False
             if self.meets and not self.stopped and leg == 1 and new >= end * (1 - 1e-12):
                 met = yield from self._nearer(here, new, (approach, force), self._rate)
-                if met is None:
-                    step, easy, self.halved = (new - here.time) / 2, 0, self.halved + 1
+                if met is None:  # as far as that is there is one
+                    step, easy, self.halved, self.meets = (new - here.time) / 2, 0, self.halved + 1, False
                     continue
-                approach, force = met
-                moved = True
+                (approach, force), moved = met, True
                 self.stopped = abs(force - self.stop_n) <= FORCE_TOLERANCE * self.stop_n
             self.energy.step(new, approach, apart=moved)
             self._settle()

@@ -131,6 +131,7 @@ def press(
     with record.stage("import"):
         import gelsim.fem  # noqa: F401  # counted here, not as the press
         from gelsim.mesh.reductions import choose_reduction, solids
+        from gelsim.shape.outlines import edge_radius
     reduction = choose_reduction(scene)
     _note_reduction(reduction, record)
     gel_material, object_materials = materials.gel_material(scene), materials.object_materials(scene)
@@ -139,6 +140,8 @@ def press(
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     for name, material in list(object_materials.items())[1:]:
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
+    if scene.object.rigid:
+        record.choices["edge_radius_mm"] = edge_radius(scene.object, scene.fidelity) / MM
     if reduction.planar:
         free = scene.press.symmetry == "auto"
         found = _press_profile(scene, reduction, record, report, throw and not free)

@@ -273,3 +273,11 @@ def test_a_radius_that_is_given_is_taken() -> None:
         assert spacing(body) == pytest.approx(expected)
         assert rim_radius(body, spacing(body)) == pytest.approx(0.1 if given is None else max(given, 0.04))
     assert outlines.edge_radius(Body(shape="shell", rigid=True, wall_mm=0.24)) == pytest.approx(0.06e-3)
+
+
+def test_a_default_radius_is_one_that_faces_can_follow() -> None:
+    box, given = Body(shape="box", rigid=True), Body(shape="box", rigid=True, edge_radius_mm=0.1)
+    assert [1e3 * outlines.edge_radius(body, "fast") for body in (box, given)] == pytest.approx([0.2, 0.1])
+    assert 1e3 * outlines.edge_radius(box, "reference") == pytest.approx(0.1) and spacing(box, "fast") == pytest.approx(0.1 / ROUNDING)
+    thin, sharp = Body(shape="box", rigid=True, width_mm=0.6), Body(shape="punch", rigid=True)
+    assert [1e3 * outlines.edge_radius(body, "fast") for body in (thin, sharp)] == pytest.approx([0.15, 0.0])
