@@ -67,10 +67,12 @@ HELD_BELOW = 0.1
 """Share of the height of a turned soft object that is cut off, for the platen to hold it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bodies:
     """How the closed surfaces of a file lie to each other."""
 
+    filled: TriMesh
+    """The surface of what is filled."""
     volume: float
     """What is filled [m³]: what several share counts once."""
     faults: tuple[str, ...]
@@ -184,7 +186,9 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
     if told and (told.faults or told.shared):
         notes += [f"{named}: {fault}" for fault in told.faults] if body.rigid else []
         more = f"the sum of their volumes is {told.shared / MM**3:.3g} mm³ more"
-        notes += [f"{named}: its bodies overlap, they are joined: {more}"] if told.shared else []
+        if told.shared:  # distances would be to faces within, too
+            notes.append(f"{named}: its bodies overlap, they are joined: {more}")
+            surface = told.filled
     return Part(surface, done, tuple(notes))
 
 
@@ -450,9 +454,11 @@ def compare_bodies(surface: TriMesh) -> Bodies | None:
             whole.append(manifold3d.Manifold.batch_boolean([solids[i], *cavities], manifold3d.OpType.Subtract))
         elif material < 1:
             faults.append(f"{name} is inside out and no cavity of another, so it is left out; flip its faces")
-    filled = manifold3d.Manifold.batch_boolean(whole, manifold3d.OpType.Add).volume()
-    shared = sum(solid.volume() for solid in whole) - filled
-    return Bodies(filled, tuple(faults), shared if shared > _SHARED * filled else 0.0)
+    filled = manifold3d.Manifold.batch_boolean(whole, manifold3d.OpType.Add)
+    volume, mesh = filled.volume(), filled.to_mesh64()
+    shared = sum(solid.volume() for solid in whole) - volume
+    outside = TriMesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int32))
+    return Bodies(outside, volume, tuple(faults), shared if shared > _SHARED * volume else 0.0)
 
 
 def _manifold(vertices: Array, faces: Faces) -> manifold3d.Manifold:
