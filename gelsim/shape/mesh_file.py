@@ -186,8 +186,8 @@ def _part(body: Body, stamp: tuple[int, ...]) -> Part:
     if told and (told.faults or told.shared):
         notes += [f"{named}: {fault}" for fault in told.faults] if body.rigid else []
         more = f"the sum of their volumes is {told.shared / MM**3:.3g} mm³ more"
-        if told.shared:  # distances would be to faces within, too
-            notes.append(f"{named}: its bodies overlap, they are joined: {more}")
+        notes += [f"{named}: its bodies overlap, they are joined: {more}"] if told.shared else []
+        if told.shared and not told.faults:  # a rigid one's distance would be to faces within, too
             surface = told.filled
     return Part(surface, done, tuple(notes))
 
