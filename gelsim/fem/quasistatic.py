@@ -58,6 +58,7 @@ SMALLEST_STEP = 1 / 64  # of the spacing of recorded states
 FOLDED = 0.5  # smallest det F of a state over that before it, under which the step that led there is tried again in two …
 FOLDED_STEP = 1 / 8  # … unless it is no longer than this share of the spacing: a body that is crushed does get there.
 FORCE_TOLERANCE = 2e-3  # of force_n
+REACHED = 5e-3  # of force_n: nearer than that it counts as reached where no nearer state is found
 GAVE_WAY = 0.9  # of the largest normal force so far: what is pressed to a force alone and bears less has given way …
 OUT_OF_REACH = 2.0  # … or, once SOON, where not even so many times the force to which it grows by a power law would be enough
 SOON = 30  # Newton iterations of solves that failed, some two of them, after which a press is tried otherwise
@@ -172,7 +173,8 @@ def march_press(
         march.until = course.lost_at if course.followed and before is None else np.inf
         march.meets = press.depth_mm is None and end is PressEnd.FORCE
         yield from march.run(progress, before)
-    message, end = "", PressEnd.FORCE if march.stopped else PressEnd.GAVE_WAY if march.gave_way else end
+    # where the search got to its force straight down, and this is sheared or twisted, it may bear less
+    message, end = "", PressEnd.FORCE if march.stopped else PressEnd.GAVE_WAY if march.gave_way or end is PressEnd.FORCE else end
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
@@ -326,7 +328,6 @@ class _March:
                     step, easy, self.halved, self.meets = (new - here.time) / 2, 0, self.halved + 1, False
                     continue
                 (approach, force), moved = met, True
-                self.stopped = abs(force - self.stop_n) <= FORCE_TOLERANCE * self.stop_n
             self.energy.step(new, approach, apart=moved)
             self._settle()
             # a way that jumped says nothing of how it goes on
@@ -637,7 +638,7 @@ class _March:
         """From what was solved (approach [m], normal force [N]) at a time [s], the end of a way that a search found, nearer to the force
         that ends it: the way's steps leave another overlap than the search's, and shear takes some of the force.
 
-        `rate`: of the force by the approach [N/m]. None where no equilibrium was found.
+        `rate`: of the force by the approach [N/m]. None where no equilibrium was found. Says whether the force is `stopped` at.
         """
         wanted, (approach, force) = self.stop_n, solved
         assert wanted is not None
@@ -651,6 +652,7 @@ class _March:
             force = -self.problem.contact_force()[2]
             found = (force - before) / (approach - last)
             rate = found if found > 0.0 else rate
+        self.stopped = abs(force - wanted) <= REACHED * wanted
         return approach, force
 
 
