@@ -702,18 +702,19 @@ class _Search(_March):
         self.way = straight(self.problem.scene.press, depth * MM_PER_M)
         for number in range(states):
             target = depth * number / (states - 1)
+            time = target / speed
             before = max(int(np.searchsorted(places, target * (1 - 1e-9))) - 1, 0)
             here = self.trail[before]
             self._previous = self.trail[before + 1] if before + 1 < len(self.trail) else None
             yield from self._return_to(here, LOOKED_MM)
-            if number > 0 and not (yield from self._attempt(here, target / speed, target)):
+            if number > 0 and not (yield from self._attempt(here, time, target)):
                 return False
             if number == states - 1 and self.stopped:
-                met = yield from self._nearer(here, target / speed, (target, -self.problem.contact_force()[2]), rate)
+                met = yield from self._nearer(here, time, (target, -self.problem.contact_force()[2]), rate)
                 if met is None:
                     return False
                 target = met[0]
-            self.time, self.approach = depth * number / (states - 1) / speed, target
+            self.time, self.approach = time, target
             self._keep(progress)
         self.status, self.message = SolveStatus.CONVERGED, ""
         return True
