@@ -2,8 +2,9 @@
 
     python docs/studies/framings.py FOLDER --mm-per-px 0.058 [--sensor gelsight_mini] [--videos 24]
 
-Each framing is read as it comes, and told of: by crop, corners and scale. Prints how far the readings lie from those as it is. Two are of
-another order in time: a video that begins at its largest change, lets go and then shows the press, and one that shows it twice.
+Each framing is read as it comes, and told of: by crop, corners and scale. Prints how far the readings lie from those as it is, and how
+many gave none. Three are of other times: a video that begins at its largest change, lets go and then shows the press, one that shows it
+twice, and one of which two thirds of the frames are lost.
 """
 
 import argparse
@@ -23,7 +24,7 @@ EVERY = 3  # frames: as much as the network chooses from, in a third of the time
 BORDER = (60, 80), (100, 40)  # above and below, left and right [px]
 ASIDE = Corners(np.array([[60.0, 40.0], [400.0, 70.0], [380.0, 330.0], [90.0, 310.0]]))  # corners of the picture in one of 480 x 380 px
 
-TOUCHED, TWICE = "begun in contact", "shown twice"
+TOUCHED, TWICE, LOST = "begun in contact", "shown twice", "two frames of three lost"
 
 
 def oblique(frame: np.ndarray) -> np.ndarray:
@@ -35,8 +36,8 @@ def oblique(frame: np.ndarray) -> np.ndarray:
     return np.asarray(Image.fromarray(frame).transform((480, 380), Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BICUBIC))
 
 
-def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.ndarray], np.ndarray], Framing]]:
-    """How a frame of so many columns and rows is changed, and what is told of it."""
+def framings(size: tuple[int, int], mm: float, contact: int) -> list[tuple[str, Callable[[np.ndarray], np.ndarray], Framing]]:
+    """How a frame of so many columns and rows, with the contact in a column, is changed, and what is told of it."""
     width, height = size
     (above, below), (left, right) = BORDER
 
@@ -48,6 +49,9 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
 
     def cut(frame: np.ndarray) -> np.ndarray:
         return frame[height // 8 : -height // 8, width // 8 : -width // 8]
+
+    def at_its_border(frame: np.ndarray) -> np.ndarray:
+        return frame[:, contact:] if contact < width // 2 else frame[:, :contact]
 
     crop, corners = (left, above, width, height), Corners(ASIDE.places, (width * mm, height * mm))
     return [
@@ -61,8 +65,11 @@ def framings(size: tuple[int, int], mm: float) -> list[tuple[str, Callable[[np.n
         ("of half the pixels, --mm-per-px", halved, Framing(mm_per_px=2 * mm)),
         ("three quarters of it", cut, Framing()),
         ("three quarters of it, --mm-per-px", cut, Framing(mm_per_px=mm)),
+        ("half of the contact, at the border", at_its_border, Framing()),
+        ("half of the contact, at the border, --mm-per-px", at_its_border, Framing(mm_per_px=mm)),
         (TOUCHED, np.asarray, Framing()),
         (TWICE, np.asarray, Framing()),
+        (LOST, np.asarray, Framing()),
     ]
 
 
@@ -80,10 +87,12 @@ def main() -> None:
     for file in files:
         frames = list(_video(file, 0.0, None))[::EVERY]
         found = []
-        kinds = framings(frames[0].shape[1::-1], options.mm_per_px)
-        names = [name for name, _, _ in kinds]
         peak = int(np.argmax([np.abs(frame.astype(float) - frames[0]).mean() for frame in frames]))
-        orders = {TOUCHED: frames[peak:] + frames, TWICE: frames + frames}
+        change = np.maximum(np.abs(frames[peak].astype(float) - frames[0]).mean(axis=2) - 5.0, 0.0).sum(axis=0)
+        kinds = framings(frames[0].shape[1::-1], options.mm_per_px, int(np.average(np.arange(len(change)), weights=change)))
+        names = [name for name, _, _ in kinds]
+        kept = [frame for frame, chance in zip(frames, np.random.default_rng(0).random(len(frames)), strict=True) if chance < 1 / 3]
+        orders = {TOUCHED: frames[peak:] + frames, TWICE: frames + frames, LOST: frames[:1] + kept}
         for name, change, framing in [("as it is", np.asarray, Framing()), *kinds]:
             with TemporaryDirectory() as folder:
                 for number, frame in enumerate(orders.get(name, frames)):
@@ -93,9 +102,10 @@ def main() -> None:
         for number, reading in enumerate(found[1:]):
             away.setdefault(number, []).append(abs(reading - found[0]))
         print(f"{file.name}: {found[0]:.1f}; " + ", ".join(f"{reading:.1f}" for reading in found[1:]), flush=True)
-    print("\n| framing, and what is told | median [Shore 00] | 90 % |\n|---|---|---|")
+    print("\n| framing, and what is told | median [Shore 00] | 90 % | no reading |\n|---|---|---|---|")
     for number, name in enumerate(names):
-        print(f"| {name} | {np.nanmedian(away[number]):.1f} | {np.nanpercentile(away[number], 90):.1f} |")
+        none = int(np.isnan(away[number]).sum())
+        print(f"| {name} | {np.nanmedian(away[number]):.1f} | {np.nanpercentile(away[number], 90):.1f} | {none} |")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from gelsim.bench.report import table
 from gelsim.bench.section import Row
 from gelsim.fem.batch import copy_bandwidth
 from gelsim.live.batch import LiveBatch
-from gelsim.live.batch_layer import Layers
+from gelsim.live.batch_layer import Layers, Ways
 from gelsim.scene.layers import build_scene
 
 WALK = 20
@@ -40,8 +40,8 @@ def main() -> None:
     def counted(name: str) -> None:
         real = getattr(Layers, name)
 
-        def product(self: Layers, ways: torch.Tensor, *tractions: torch.Tensor) -> torch.Tensor:
-            moved["bytes"] += REALS[name] * 4 * len(ways) * self.shape[0] * self.shape[1]
+        def product(self: Layers, ways: Ways, *tractions: torch.Tensor) -> torch.Tensor:
+            moved["bytes"] += REALS[name] * 4 * len(ways.answers) * self.shape[0] * self.shape[1]
             return real(self, ways, *tractions)
 
         setattr(Layers, name, product)

@@ -21,10 +21,10 @@ from gelsim.units import MM
 WALK = 40
 
 
-def _rate(friction: float, *, image: bool = False, look: bool = True) -> Row:
+def _rate(friction: float, *, image: bool = False, look: bool = True, soft: bool = False) -> Row:
     scene = build_scene({
         "gel": {"profile": "flat", "thickness_mm": THICKNESS_MM},
-        "object": {"shape": "hemisphere", "radius_mm": 8.0, "height_mm": 12.0, "rigid": True},
+        "object": {"shape": "hemisphere", "radius_mm": 8.0, "height_mm": 12.0} | ({"shore_00": 30.0} if soft else {"rigid": True}),
         "contact": {"friction_coefficient": friction},
         "render": {"resolution": [320, 240]},
     })  # fmt: skip
@@ -56,6 +56,7 @@ def _cases(options: Options) -> Iterator[Case]:
     yield Case("no picture", partial(_rate, 0.5))
     yield Case("picture of 320 × 240", partial(_rate, 0.5, image=True))
     yield Case("picture of 320 × 240, no friction", partial(_rate, 0.0, image=True))
+    yield Case("picture of 320 × 240, Shore 00-30", partial(_rate, 0.5, image=True, soft=True))
 
 
 SECTION = Section(

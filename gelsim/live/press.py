@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 ROUND = ("hemisphere",)
 """Shapes without an edge where they touch."""
+COMPARED = ("flat", "dome")
+"""Profiles of gels that were."""
 SHARES = (0.0, 0.1, 0.25, 0.4, 0.6)
 """Approach over the gel's thickness."""
 OF_ROUND = ((0.03, 0.03, 0.041, 0.113, 0.113), (0.0, 3.3, 8.7, 12.6, 22.2))
@@ -81,12 +83,12 @@ def expected_error(scene: Scene, approach_mm: float) -> tuple[float, float]:
 def live_error(scene: Scene) -> tuple[float, float] | None:
     """`expected_error` of a press that `live_press` is known to be good at, before it is walked; None of others.
 
-    Those are round objects on an elastic gel, rigid or soft, up to the deepest that was compared with finite elements, and a thickness away
-    from its sides, beyond which the baked gel goes on.
+    Those are round objects on a flat or domed, elastic gel, rigid or soft, up to the deepest that was compared with finite elements, and a
+    thickness away from its sides, beyond which the baked gel goes on.
     """
     body, gel = scene.object, scene.gel
     deepest = shapes.furthest_approach(scene) * MM_PER_M
-    suits = body.shape in ROUND and not gel.prony_g and motion(scene.press) is None
+    suits = body.shape in ROUND and gel.profile in COMPARED and not gel.prony_g and motion(scene.press) is None
     if not suits or not (body.rigid or _known_soft(scene)) or deepest > SHARES[3] * gel.thickness_mm:
         return None
     assert body.radius_mm is not None
@@ -270,7 +272,23 @@ class _Walk:
             deformation = deformation.warned(
                 f"press.force_n = {wanted:g} N was not reached: the press ended at {approach[-1]:.3g} mm with {-frames[-1].force[2]:.3g} N"
             )
+        away, thickness = self._from_sides(frames), self.scene.gel.thickness_mm
+        if away < thickness:
+            deformation = deformation.warned(
+                f"the contact came {away:.2g} mm near the gel's side, beyond which the baked gel goes on: forces are too large "
+                f"there. Stay its thickness away, {thickness:.3g} mm, or take another fidelity"
+            )
         return deformation
+
+    def _from_sides(self, frames: list[LiveFrame]) -> float:
+        """How near to the gel's sides it was touched at most [mm]; infinite where it was not."""
+        rows, columns = np.nonzero(np.any([frame.contact for frame in frames], axis=0))
+        half = np.array(self.scene.gel.size_mm) / 2
+        away = [
+            side - np.abs(places[touched]).max(initial=-np.inf) * MM_PER_M
+            for side, places, touched in ((half[0], self.sensor.x, columns), (half[1], self.sensor.y, rows))
+        ]
+        return float(min(away))
 
 
 def _grid(size_mm: tuple[float, float], dx: float, dy: float) -> tuple[Array, NDArray[np.int32]]:

@@ -1,13 +1,14 @@
 """`gelsim live`: a local page on which a person presses an object into the gel with the mouse, and sees what the sensor does.
 
 The object hangs on transform controls over the gel in 3D. Each time it has moved, `LiveSensor.step` answers, and picture, height, markers
-and force are shown together; sensor, shape, size and light are chosen beside them. One loop does it all (`LivePage.refresh`): it reads what
-controls say now, so of a fast drag it takes the newest pose and leaves out those in between; friction sees a straight way.
+and force are shown together; sensor, shape, size, hardness and light are chosen beside them. One loop does it all (`LivePage.refresh`): it
+reads what controls say now, so of a fast drag it takes the newest pose and leaves out those in between; friction sees a straight way.
 
 Pictures are baked while the object moves; of light "direct" and "path" one is traced when it rests. A recording has a folder for each
 sensor and object, with frames and markers as `gelsim render` has them and the motion as `press.path_csv` reads it.
 
-Left out: soft objects, several objects, and what docs/live.md says of the baked gel. The page is served to this machine only (viser).
+Left out: how a soft object looks as it gives, several objects, and what docs/live.md says of the baked gel. The page is served to this
+machine only (viser).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from gelsim.errors import GelsimError, SceneError
 from gelsim.live.sensor import LiveFrame, LiveSensor, check_scene
 from gelsim.membrane.surface import grid_faces, moved_membrane
 from gelsim.pipeline import outputs
+from gelsim.scene import materials
 from gelsim.scene.definition import Body, Press, Scene
 from gelsim.scene.layers import PRESET_SECTIONS, build_scene, preset_names
 from gelsim.scene.measured_path import COLUMNS
@@ -56,8 +58,8 @@ REST_S = 0.3
 """Without motion after which a picture is traced."""
 IDLE_S = 0.01
 """Between two looks at a page on which nothing happened."""
-SIZES_MM = (1.0, 25.0)
-"""Ends of the slider."""
+SIZES_MM, SHORES = (1.0, 25.0), (5.0, 95.0)
+"""Ends of the sliders."""
 ARROWS = 5
 """Marker arrows are drawn so many times as long as the markers moved."""
 LEAST_SPAN = 0.05
@@ -173,33 +175,38 @@ class LivePage:
         self.handle.position, self.handle.wxyz = ABOVE[:3], ABOVE[3:]
 
     @property
-    def _choices(self) -> tuple[str, str, float]:
-        """Sensor, shape and size that the controls name."""
-        return self._sensors.value, self._shapes.value, self._sizes.value
+    def _choices(self) -> tuple[str, str, float, bool, float]:
+        """Sensor, shape, size, whether it is rigid, and hardness that the controls name."""
+        return self._sensors.value, self._shapes.value, self._sizes.value, self._rigid.value, self._shores.value
 
     @property
     def _placed(self) -> Array:
         """Where the object hangs: mm, and a quaternion w, x, y, z."""
         return np.array([*self.handle.position, *self.handle.wxyz])
 
-    def _change(self, sensor: str, shape: str, size: float) -> None:
+    def _change(self, sensor: str, shape: str, size: float, rigid: bool, shore: float) -> None:
         """Another sensor or object; where there is none such, the page says why and stays as it was."""
         given = self._given
-        body = given.object if shape == given.object.shape else Body(shape=shape, rigid=True, height_mm=given.object.height_mm)
+        body = given.object if shape == given.object.shape else Body(shape=shape, rigid=rigid, height_mm=given.object.height_mm)
         other = shape != self._asked[1]
         if other:
             size = _size(body)
+        if rigid:
+            body = replace(body, rigid=True)
+        elif body.rigid or shape != given.object.shape or shore != _shore(given.object):
+            body = replace(body, rigid=False, shore_00=shore, shore_a=None, youngs_modulus_kpa=None, modulus_scale=1.0)
         try:
             of_sensor = given if sensor == given.sensor.preset else build_scene({"sensor": {"preset": sensor}})
             parts = {name: getattr(of_sensor, name) for name in ("sensor", *PRESET_SECTIONS)}
             scene = self.scene.replace(object=_sized(body, size), **parts)
-            self._say(f"Making {sensor} ready; a light that was not measured before takes a minute or two …")
+            self._say("Making it ready; a light that was not measured before takes a minute or two …")
             self.sensor = self._made(scene)
         except GelsimError as error:
-            self._sensors.value, self._shapes.value, self._sizes.value = self._asked
+            self._sensors.value, self._shapes.value, self._sizes.value, self._rigid.value, self._shores.value = self._asked
             self._say(str(error))
             return
-        self.scene, self._asked = scene, (sensor, shape, size)  # a control that was moved meanwhile differs, and is next
+        self.scene, self._asked = scene, (sensor, shape, size, rigid, shore)  # a control that was moved meanwhile differs, and is next
+        self._shores.visible = not rigid
         if other:
             self._sizes.value, self._sizes.visible = size, shape != "mesh"
         self._begin()
@@ -265,6 +272,9 @@ class LivePage:
         size = _size(given.object)
         self._sizes = gui.add_slider("size [mm]", min(SIZES_MM[0], size), max(SIZES_MM[1], size), 0.25, size, hint="radius, or width")
         self._sizes.visible = not given.object.mesh
+        self._rigid = gui.add_checkbox("rigid", given.object.rigid)
+        self._shores = gui.add_slider("Shore 00", *SHORES, 1.0, _shore(given.object))
+        self._shores.visible = not given.object.rigid
         self._lights = gui.add_dropdown("light", ["baked", "direct", "path"], hint="direct and path: traced when the object rests")
         gui.add_button("Lift the object").on_click(lambda _: self._lift())
         self._told = gui.add_markdown("")
@@ -351,6 +361,15 @@ def _sized(body: Body, size: float) -> Body:
 def _size(body: Body) -> float:
     """What the slider says of an object [mm]."""
     return body.radius_mm if SHAPES[body.shape].has_radius else body.width_mm or SHAPES[body.shape].width_mm
+
+
+def _shore(body: Body) -> float:
+    """What the slider says of an object's hardness, in whole Shore 00; of a rigid one, of that which it would have."""
+    modulus = materials.youngs_modulus(replace(body, rigid=False))
+    low, high = SHORES
+    if modulus >= materials.modulus_from_shore_00(high):
+        return high
+    return float(round(max(low, materials.shore_00_from_modulus(max(modulus, materials.modulus_from_shore_00(low))))))
 
 
 def _colours() -> Picture:

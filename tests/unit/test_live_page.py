@@ -82,6 +82,34 @@ def test_a_move_is_seen_and_felt(page: LivePage) -> None:
     assert page.frame.force[2] == 0 and "frames a second" in page._told.content
 
 
+def test_a_soft_object_gives(page: LivePage) -> None:
+    page._rigid.value = False
+    settle(page)  # a soft ball is larger
+    assert "2.5 …" in page._told.content and page._rigid.value and page.scene.object.rigid
+    page._sizes.value = 3.0
+    settle(page)
+    page.handle.position = (0.0, 0.0, -0.5)
+    settle(page)
+    rigid = page.frame.force[2]
+    assert not page._shores.visible
+    page._rigid.value, page._shores.value = False, 20.0
+    settle(page)
+    assert (page.scene.object.rigid, page.scene.object.shore_00) == (False, 20.0) and page._shores.visible
+    page.handle.position = (0.0, 0.0, -0.5)
+    settle(page)
+    assert 0.2 * rigid > page.frame.force[2] > 0.95 * rigid
+    page._shores.value = 80.0
+    settle(page)
+    soft, page.handle.position = page.frame.force[2], (0.0, 0.0, -0.5)
+    settle(page)
+    assert page.frame.force[2] < soft
+    page._rigid.value = True
+    settle(page)
+    page.handle.position = (0.0, 0.0, -0.5)
+    settle(page)
+    assert page.frame.force[2] == pytest.approx(rigid, rel=1e-6)
+
+
 def test_controls_make_another_sensor_and_object(page: LivePage) -> None:
     page._shapes.value = "box"
     settle(page)

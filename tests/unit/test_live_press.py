@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -168,3 +169,14 @@ def test_a_result_folder(tmp_path: Path) -> None:
     assert report["final"]["min_jacobian"] is None
     assert 0.0 < report["error_estimate"]["force"] < 0.1
     assert main(["inspect", str(tmp_path / "out")]) == 0
+
+
+@pytest.mark.parametrize(("offset_mm", "near"), [([0.0, 0.0], False), ([3.5, 0.0], False), ([0.0, -5.5], True)])
+def test_what_comes_near_a_side_is_said(offset_mm: list[float], near: bool) -> None:
+    gel: Layer = {"profile": "flat", "size_mm": [16.0, 16.0], "thickness_mm": 2.4}
+    press: Layer = {"depth_mm": 0.6, "frames": 2, "offset_mm": offset_mm}
+    scene = build_scene(BASE, {"gel": gel, "object": {"shape": "hemisphere", "radius_mm": 4.0, "rigid": True}, "press": press})
+    warnings = gelsim.press(scene).report.warnings
+    assert any("near the gel's side" in said for said in warnings) == near
+    assert live_error(scene.replace(press=replace(scene.press, offset_mm=(0.0, 0.0)))) is not None
+    assert live_error(scene.replace(gel=replace(scene.gel, profile="cylinder", radius_mm=30.0))) is None
