@@ -1,6 +1,6 @@
-"""The table of `gelsim.data.firmness`, by the virtual durometer: ball tips that stick in blocks of 12 mm, foams and skinned ones.
+"""The table of `gelsim.data.firmness`, by the virtual durometer: ball tips that stick in blocks of 12 mm, foams, skinned and layered ones.
 
-    python docs/studies/firmness_table.py assets/reference/firmness.csv          makes it; ten minutes of one core
+    python docs/studies/firmness_table.py assets/reference/firmness.csv          makes it; a quarter of an hour of one core
     python docs/studies/firmness_table.py --between                              off by how much, at blocks between those of the table
 
 Labels are compared at moduli of 00-5 to 00-80, with presses of the `reference` mesh.
@@ -36,6 +36,7 @@ def row(sample: Sample) -> dict[str, float | str]:
 def main(out: Path) -> None:
     samples = [Sample(nu) for nu in firmness.POISSONS_RATIOS]
     samples += [Sample(skin_mm=skin, skin_ratio=ratio) for ratio in firmness.SKIN_RATIOS[1:] for skin in firmness.SKINS_MM[1:]]
+    samples += [Sample(skin_mm=skin, skin_ratio=ratio) for ratio in firmness.LAYER_RATIOS[:-1] for skin in firmness.LAYERS_MM]
     rows = []
     for sample in samples:
         rows.append(row(sample))
@@ -62,6 +63,7 @@ def between() -> None:
     silicone = pressed(Sample())
     samples = [Sample(nu) for nu in (0.05, 0.15, 0.25, 0.35)]
     samples += [Sample(skin_mm=skin, skin_ratio=ratio) for skin, ratio in ((0.375, 3.0), (0.9, 6.0), (1.1, 12.0), (1.3, 24.0))]
+    samples += [Sample(skin_mm=skin, skin_ratio=ratio) for skin, ratio in ((1.75, 0.35), (2.2, 0.18), (3.5, 0.09), (5.0, 0.7))]
     print("nu      skin  ratio   most off [Shore 00]   of 5 mm ball")
     for sample in samples:
         curve, ball, off = pressed(sample), durometer.sample_curve(TESTER, TESTER.travel, sample, fidelity="reference"), []

@@ -12,8 +12,8 @@ A block too soft for any reading bears the tip's whole travel, and is compared t
 
 *Stiffness.* F/d of a ball of 5 mm across, 1 mm deep, of the modulus that the press has.
 
-Left out: the object's form (a wall that gives way, a small body), grains (what is read depends on where), skins that are softer than what
-is below, or on foam.
+Left out: the object's form (a wall that gives way, a small body), grains (what is read depends on where), skins on foam, and soft ones
+thinner than the first of LAYERS_MM, through which the tip is stopped.
 """
 
 from __future__ import annotations
@@ -38,6 +38,9 @@ DEPTHS_MM = (0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2
 POISSONS_RATIOS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.48, 0.4999)
 SKIN_RATIOS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 SKINS_MM = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+LAYER_RATIOS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
+LAYERS_MM = (1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
+"""Of skins softer than what is below, over a core."""
 SILICONE = 0.49
 """Poisson's ratio from which on a material is silicone, and a skin's is tabulated."""
 HIGHEST = 98.0
@@ -52,6 +55,8 @@ class Blocks:
     """Of POISSONS_RATIOS, shape (P, D + 1): ln c, at last that of the ball's; NaN where no press came."""
     skinned: Array
     """Of SKIN_RATIOS and SKINS_MM, shape (Q, S, D + 1), likewise."""
+    layered: Array
+    """Of LAYER_RATIOS and LAYERS_MM."""
 
 
 @lru_cache
@@ -62,8 +67,11 @@ def blocks() -> Blocks:
     of = {tuple(float(row[key]) for key in keys): np.log([float(row[name] or "nan") for name in names]) for row in rows}
     bare, silicone = [of[nu, 1.0, 0.0] for nu in POISSONS_RATIOS], POISSONS_RATIOS[-1]
     plain = bare[-1]
-    skinned = [[plain if ratio == 1 or not skin else of[silicone, ratio, skin] for skin in SKINS_MM] for ratio in SKIN_RATIOS]
-    return Blocks(np.array(bare), np.array(skinned))
+    skinned, layered = (
+        [[plain if ratio == 1 or not skin else of[silicone, ratio, skin] for skin in skins] for ratio in ratios]
+        for ratios, skins in ((SKIN_RATIOS, SKINS_MM), (LAYER_RATIOS, LAYERS_MM))
+    )
+    return Blocks(np.array(bare), np.array(skinned), np.array(layered))
 
 
 def shore_00(body: Body) -> float | None:
@@ -98,10 +106,11 @@ def _block(body: Body) -> Array | None:
     if parts != ("body", "skin") or body.poissons_ratio < SILICONE:
         return None
     ratio = materials.youngs_modulus(body.skin) / materials.youngs_modulus(body)
-    if not SKIN_RATIOS[0] <= ratio <= SKIN_RATIOS[-1] or body.skin.thickness_mm > SKINS_MM[-1]:
+    known, ratios, skins = (table.skinned, SKIN_RATIOS, SKINS_MM) if ratio >= 1.0 else (table.layered, LAYER_RATIOS, LAYERS_MM)
+    if not ratios[0] <= ratio <= ratios[-1] or not skins[0] <= body.skin.thickness_mm <= skins[-1]:
         return None
-    of_ratio = np.array([[np.interp(body.skin.thickness_mm, SKINS_MM, column) for column in part.T] for part in table.skinned])
-    return np.array([np.interp(np.log(ratio), np.log(SKIN_RATIOS), column) for column in of_ratio.T])
+    of_ratio = np.array([[np.interp(body.skin.thickness_mm, skins, column) for column in part.T] for part in known])
+    return np.array([np.interp(np.log(ratio), np.log(ratios), column) for column in of_ratio.T])
 
 
 def _alike(modulus: float, block: Array) -> float:

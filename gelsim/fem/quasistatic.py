@@ -192,8 +192,8 @@ def march_press(
             "sharp rim that the gel slides over, a body that buckles); with more frames the press may take another, and its force differ"
         )
     if press.depth_mm is None and press.force_n is not None and not march.stopped and march.status is SolveStatus.CONVERGED:
-        why = beyond or f" with {march.normal_force:.3g} N"
-        if end is PressEnd.GAVE_WAY:
+        why = beyond or march.beyond or f" with {march.normal_force:.3g} N"
+        if end is PressEnd.GAVE_WAY and not (beyond or march.beyond):
             why = f": {march.most[0]:.3g} N is the most that the object bears before it buckles, folds or slides off"
         deformation = deformation.warned(
             f"press.force_n = {press.force_n:g} N was not reached: the press ended at {march.approach * MM_PER_M:.3g} mm{why}"
@@ -239,8 +239,8 @@ class _March:
         """Approach [m] and normal force [N] of the equilibrium before the last."""
         self._snapped = False
         self._iterations = self._factorisations = self._wasted = 0
-        self.most, self.gave_way = (0.0, 0.0), False
-        """Largest normal force [N] so far, and the approach [m] there."""
+        self.most, self.gave_way, self.beyond = (0.0, 0.0), False, ""
+        """Largest normal force [N] so far, and the approach [m] there; what is said of a force that is out of reach."""
         self.until = np.inf
         """Approach [m] of the first leg at which it is known to be lost."""
         self.meets = False
@@ -362,8 +362,15 @@ class _March:
             return False
         assert self.stop_n is not None
         order = self._rate * self.approach / self.normal_force
-        expected = self.normal_force * (furthest_approach(self.problem.scene) / self.approach) ** order
-        return OUT_OF_REACH * expected < self.stop_n
+        deepest = furthest_approach(self.problem.scene)
+        expected = self.normal_force * (deepest / self.approach) ** order
+        if OUT_OF_REACH * expected >= self.stop_n:
+            return False
+        self.beyond = (
+            f" with {self.normal_force:.3g} N: no equilibrium was found further on, and as its force grows it would bear {expected:.2g} N "
+            f"at {deepest * MM_PER_M:.3g} mm, where such presses end"
+        )
+        return True
 
     def _end_here(self, progress: Progress | None) -> bool:
         """Ends the leg in its last equilibrium, which is recorded."""
@@ -688,7 +695,7 @@ class _Search(_March):
         if self.stopped:
             return self.approach, PressEnd.FORCE, ""
         if self.gave_way:
-            return self.most[1], PressEnd.GAVE_WAY, ""
+            return self.most[1], PressEnd.GAVE_WAY, self.beyond
         # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
         if self.status is not SolveStatus.CONVERGED and self.approach > 0.0:
             return self.approach, PressEnd.LOST, f" with {self.normal_force:.3g} N; further on {self.status.value}"

@@ -44,6 +44,14 @@ def test_a_skin_as_the_flesh_is_none_and_a_thicker_or_harder_one_reads_harder() 
     assert sorted(by_thickness) == by_thickness and sorted(by_ratio) == by_ratio and 30 < by_thickness[0] < by_thickness[-1] < whole
 
 
+def test_a_soft_layer_on_a_hard_core_reads_between_them_and_softer_the_thicker() -> None:
+    soft, hard = 20.0, 60.0
+    ratio = materials.modulus_from_shore_00(soft) / materials.modulus_from_shore_00(hard)
+    by_thickness = [firmness.shore_00(under(hard, skin, ratio)) or 0 for skin in (1.5, 1.8, 2.4, 3.5, 5.0, 6.0)]
+    assert sorted(by_thickness, reverse=True) == by_thickness and soft < by_thickness[-1] < soft + 6 < by_thickness[0] < hard
+    assert firmness.shore_00(under(hard, 3.0, 1 - 1e-9)) == pytest.approx(hard, abs=1e-4)
+
+
 def test_foams_read_in_order_also_where_no_reading_is_left() -> None:
     """Below 38 kPa a durometer reads under 8, below 29 nothing."""
     for nu in (0.0, 0.13, 0.3):
