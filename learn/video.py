@@ -129,7 +129,7 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
         rest = pictures[found.rest] if background is None else levels_of(around(framing.kept(_picture(background), str(background))))
         signal = change_signal(pictures, rest, inputs.deadband_levels)
     recording = Recording(rest, pictures[found.begin :], signal[found.begin :], scaled=scale is not None)
-    notes = [] if framing is given else ["a black border was cut off (--crop {} {} {} {})".format(*framing.crop or ())]
+    notes = [] if framing is given else ["a border was cut off (--crop {} {} {} {})".format(*framing.crop or ())]
     notes += [found.note] if found.note else []
     return _checked(Source(str(path), recording, gel=_gel_beside(path), note="; ".join(notes)))
 

@@ -44,6 +44,11 @@ def framings(size: tuple[int, int], mm: float, contact: int) -> list[tuple[str, 
     def bordered(frame: np.ndarray, level: int = 90) -> np.ndarray:
         return np.pad(frame, ((above, below), (left, right), (0, 0)), constant_values=level)
 
+    def framed(frame: np.ndarray) -> np.ndarray:
+        whole, grain = bordered(frame), np.random.default_rng(0).integers(-30, 31, (height + above + below, width + left + right, 1))
+        within = np.pad(np.ones(frame.shape[:2], bool), ((above, below), (left, right)))
+        return np.where(within[..., None], whole, whole + grain).astype(np.uint8)
+
     def halved(frame: np.ndarray) -> np.ndarray:
         return np.asarray(Image.fromarray(frame).resize((width // 2, height // 2), Image.Resampling.BOX))
 
@@ -55,11 +60,12 @@ def framings(size: tuple[int, int], mm: float, contact: int) -> list[tuple[str, 
 
     crop, corners = (left, above, width, height), Corners(ASIDE.places, (width * mm, height * mm))
     return [
-        ("in a grey border", bordered, Framing()),
+        ("in a grey border, which is found", bordered, Framing()),
         ("in a black border, which is found", lambda frame: bordered(frame, 0), Framing()),
-        ("in a grey border, --crop", bordered, Framing(crop=crop)),
-        ("in a grey border, --crop --mm-per-px", bordered, Framing(crop=crop, mm_per_px=mm)),
-        ("in a grey border, --mm-per-px", bordered, Framing(mm_per_px=mm)),
+        ("in a border with grain", framed, Framing()),
+        ("in a border with grain, --crop", framed, Framing(crop=crop)),
+        ("in a border with grain, --crop --mm-per-px", framed, Framing(crop=crop, mm_per_px=mm)),
+        ("in a border with grain, --mm-per-px", framed, Framing(mm_per_px=mm)),
         ("oblique", oblique, Framing()),
         ("oblique, --corners --corners-mm", oblique, Framing(corners=corners)),
         ("of half the pixels, --mm-per-px", halved, Framing(mm_per_px=2 * mm)),

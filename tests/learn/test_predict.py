@@ -378,13 +378,25 @@ def test_a_framing_that_is_none(options: list[str], message: str, tiny_run: Path
     assert message in capsys.readouterr().err
 
 
-def test_a_border_that_was_cut_off_is_said(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
-    bordered = np.pad(press, ((0, 0), (9, 21), (30, 10), (0, 0)))
+@pytest.mark.parametrize("level", [0, 90, 255])
+def test_a_border_that_was_cut_off_is_said(level: int, tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
+    bordered = np.pad(press, ((0, 0), (9, 21), (30, 10), (0, 0)), constant_values=level)
     plain, (answer,) = ask(tiny_run, film(tmp_path / "plain.mkv", press)), ask(tiny_run, film(tmp_path / "border.mkv", bordered))
-    assert answer["shore_00"] == plain[0]["shore_00"] and "black border was cut off (--crop 30 9 48 36)" in answer["note"]
+    assert answer["shore_00"] == plain[0]["shore_00"] and "a border was cut off (--crop 30 9 48 36)" in answer["note"]
     assert "border" not in plain[0]["note"].replace(str(tmp_path), "")
-    dark = Framing().outlined(np.zeros((20, 30, 3), np.uint8))
-    assert dark.crop is None  # nothing is left of a picture that is all black
+    dark = Framing().outlined(np.full((20, 30, 3), level, np.uint8))
+    assert dark.crop is None  # nothing is left of a picture that is all border
+
+
+def test_what_is_no_border_is_kept(press: np.ndarray) -> None:
+    frame = press[0]
+    shaded = np.tile(np.linspace(60, 160, frame.shape[1]).astype(np.uint8)[:, None], (frame.shape[0], 1, 3))
+    assert Framing().outlined(shaded).crop is None  # even columns, each of another colour
+    noisy = np.pad(frame, ((20, 20), (30, 30), (0, 0)), constant_values=90).astype(int)
+    noisy[:, :30] += np.random.default_rng(0).integers(-20, 20, noisy[:, :30].shape)
+    assert Framing().outlined(noisy.clip(0, 255).astype(np.uint8)).crop is None  # a sensor's own edge has grain
+    left = np.pad(frame, ((0, 0), (20, 0), (0, 0)), constant_values=200)
+    assert Framing().outlined(left).crop == (20, 0, frame.shape[1], frame.shape[0])
 
 
 def test_a_framing_beyond_the_frames(tiny_run: Path, press: np.ndarray, tmp_path: Path) -> None:
