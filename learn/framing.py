@@ -26,8 +26,9 @@ CORNERS_MM = "--corners-mm is the size of the rectangle of --corners, in place o
 SCALES = (1e-3, 1.0)
 """Of mm_per_px."""
 DARK, EVEN, MOST, THICK = 24, 6, 0.95, 0.02
-"""Level that no pixel of a black border exceeds; by how many one of another colour varies, but for what a codec leaves of the gel's edge, and
-for how much of it; and the share of the picture's side below which a border is left. No first frame of 152 real videos and none of 67 photographs (hand_presses and others) loses anything by these."""
+"""Level that no pixel of a black border exceeds; by how many one of another colour varies, but for what a codec leaves of the gel's edge,
+and for how much of it; and the share of the picture's side below which a border is left. No first frame of 152 real videos and none of 67
+photographs (hand_presses and others) loses anything by these."""
 FIELDS_MM = (4.0, 200.0)
 """Widths of what is kept: of less a press cannot be told, more is no tactile sensor."""
 

@@ -100,6 +100,8 @@ class Course:
     """Approach [m] at which the press ends, what it ends at there, and why no further: once a try has found it and not recorded the way."""
     searched: bool = False
     """Whether that was found by going on from another search, so that all are to begin again."""
+    bore: float = 0.0
+    """Largest normal force [N] of the tries so far."""
     lost_at: float = np.inf
     """Approach [m] at which that other was lost: the first that records hands over there, as the next found the rest of the way."""
 
@@ -148,6 +150,7 @@ def march_press(
         found = course.found if press.depth_mm is None else (press.depth_mm / MM_PER_M, PressEnd.DEPTH, "")
     if found is None:
         search = _Search(problem, record)
+        search.bore = course.bore
 
         def share(*_: int) -> None:
             """The part of the force that is reached, in states; recording then counts them anew."""
@@ -155,7 +158,7 @@ def march_press(
                 progress(round(float(np.clip(search.normal_force / press.force_n, 0.0, 1.0)) * (press.frames - 1)), press.frames)
 
         yield from search.run(share, before)
-        found = search.found()
+        found, course.bore = search.found(), max(course.bore, search.most[0])
         if found[1] is PressEnd.LOST and (course.followed or before is not None):
             course.before = search if problem.memory is None else None
             course.lost_at = search.approach
@@ -241,6 +244,8 @@ class _March:
         self._iterations = self._factorisations = self._wasted = 0
         self.most, self.gave_way, self.beyond = (0.0, 0.0), False, ""
         """Largest normal force [N] so far, and the approach [m] there; what is said of a force that is out of reach."""
+        self.bore = 0.0
+        """Largest normal force [N] of the tries before: what bears less is no judge of what is out of reach."""
         self.until = np.inf
         """Approach [m] of the first leg at which it is known to be lost."""
         self.meets = False
@@ -358,7 +363,7 @@ class _March:
         Factors of 1 to 2.8 for OUT_OF_REACH end the same of five random scenes (seed:index 3001:269, 3002:257, 3002:276 end; 3003:119 and
         3003:326 go on), one of 4 lets two more go on.
         """
-        if not self._to_force_alone or self._wasted <= SOON or self.normal_force <= 0.0:
+        if not self._to_force_alone or self._wasted <= SOON or self.normal_force <= 0.0 or self.normal_force < self.bore:
             return False
         assert self.stop_n is not None
         order = self._rate * self.approach / self.normal_force

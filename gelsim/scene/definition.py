@@ -181,8 +181,8 @@ class Body:
     rotation_deg: Vec3 = (0.0, 0.0, 0.0)
     """Of the object about x, then y, then z, before its apex is found; press.tilt_deg turns it about the apex."""
     edge_radius_mm: float | None = None
-    """Radius of a rigid object's rims and edges (0.1 by default, 0.2 at `fast`, a quarter of its smallest feature at most, 0 for a punch).
-    0: as sharp as can be resolved, 0.04."""
+    """Radius of a rigid object's rims and edges (0.1 by default, 0.2 at `fast`, a quarter of its smallest feature at most, 0 for a punch;
+    0: as sharp as can be resolved, 0.04), and of a soft corner (0 by default: sharp)."""
     rigid: bool = False
     """True: the object does not deform; no finite elements for it, only its surface."""
     shore_00: float | None = None
@@ -499,6 +499,7 @@ def _check(scene: Scene) -> None:
     gel, body, press = scene.gel, scene.object, scene.press
     _check_hardness("gel", gel)
     _check_hardness("object", body)
+    _check_edge(body)
     _check_parts(body)
     for name, section in (("gel", gel), ("object", body)):
         try:
@@ -594,6 +595,16 @@ def _check_hardness(name: str, section: Gel | Body | Skin | Grains) -> None:
             materials.youngs_modulus(section)
         except MaterialError as error:
             raise MaterialError(f"{name}.{given[0]}: {error}") from None
+
+
+def _check_edge(body: Body) -> None:
+    """A soft object's edge radius: of shapes that are made with one."""
+    if not body.rigid and body.edge_radius_mm is not None and not SHAPES[body.shape].soft_edge:
+        may = ", ".join(shape for shape, row in SHAPES.items() if row.soft_edge)
+        raise SceneError(
+            f'object.edge_radius_mm = {body.edge_radius_mm:g} mm: of soft shapes {may} has one, shape = "{body.shape}" none; leave it '
+            "out, or set object.rigid = true"
+        )
 
 
 def _check_parts(body: Body) -> None:

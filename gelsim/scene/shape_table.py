@@ -48,6 +48,8 @@ class Shape:
     """Over radius_mm and over the wall, to be added: at less there is no foot."""
     edge_radius_mm: float = 0.1
     """Of a rigid one's rims and edges, where the scene says nothing: undefined edges are broken by 0.1 to 0.3 mm (ISO 13715)."""
+    soft_edge: bool = False
+    """A soft one may be given a radius of its edges, too."""
     least_soft_radius_mm: float = 0.0
     """The smallest of which `fast` fills and presses a soft one; at less it may only be rigid."""
     skin: Mapping[str, float] = field(default_factory=dict)
@@ -94,7 +96,7 @@ SHAPES: dict[str, Shape] = {
         "drawn", sizes=("radius_mm", "length_mm"), ridge=True, has_parts=True, least_soft_radius_mm=2.5, tip_mm=None, recorded_as=("cyl",)
     ),
     "edge": Shape("drawn", sizes=(*BLOCK, "angle_deg"), ridge=True, has_parts=True, angle_deg=90.0, tip_mm=1.0, recorded_as=("edge",)),
-    "corner": Shape("planes", sizes=("width_mm",), mirror="x", tip_mm=0.7, recorded_as=("corner",)),
+    "corner": Shape("planes", sizes=("width_mm",), mirror="x", soft_edge=True, tip_mm=0.7, recorded_as=("corner",)),
     "cone": Shape("turned", sizes=("radius_mm", "angle_deg"), has_parts=True, angle_deg=90.0, tip_mm=1.0),
     "box": Shape("drawn", sizes=BLOCK, has_parts=True, width_mm=10.0, length_mm=15.0),
     "frustum": Shape("turned", sizes=("radius_mm", "angle_deg"), has_parts=True, angle_deg=75.0, angles_deg=(45.0, 90.0)),

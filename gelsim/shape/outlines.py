@@ -7,7 +7,7 @@ shape is its row in `gelsim.scene.shape_table`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gelsim.errors import SceneError
 from gelsim.scene.definition import Body
 from gelsim.scene.shape_table import SHAPES
-from gelsim.shape.solids import HeightField, Plane, Segment
+from gelsim.shape.solids import HeightField, Plane, Rounded, Segment, polyhedron
 from gelsim.units import DEG, MM
 
 FOOT = 0.6
@@ -28,6 +28,9 @@ SAMPLE_WIDTH = 25e-3
 BLUNTER = {"fast": 2.0}
 """Times a default edge radius, by fidelity: what its faces can follow. Eleven sharp mesh parts with 0.1, 0.2, 0.25 mm at `fast`: forces are
 4.6, 3.5, 6.0 % RMS off those of `balanced` (0.1 mm), in 144, 62, 70 s."""
+
+ROUND_STEPS = 6
+"""Of an arc between two rounded planes, in a coarse surface; three of them for its corner's middle to be one."""
 
 
 # ---------------------------------------------------------------------------------------------------------------- lengths
@@ -43,9 +46,12 @@ def wall(body: Body) -> float:
 
 
 def edge_radius(body: Body, fidelity: str = "balanced") -> float:
-    """Of a rigid object's rims and edges [m]: as the scene says, else its shape's, a quarter of the smallest feature at most."""
+    """Of an object's rims and edges [m]: as the scene says, else none of a soft one, of a rigid one its shape's, a quarter of the smallest
+    feature at most."""
     if body.edge_radius_mm is not None:
         return body.edge_radius_mm * MM
+    if not body.rigid:
+        return 0.0
     row, blunter = SHAPES[body.shape], BLUNTER.get(fidelity, 1.0)
     features = [2 * side for side in sides(body)] if row.drawn or row.relief else []
     features += [wall(body)] if row.wall else []
@@ -237,6 +243,42 @@ def _corner(body: Body, symmetry: frozenset[str]) -> list[Plane]:
     ]
     around = [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)]
     return faces + [Plane(normal, half) for normal in (around if "x" in symmetry else [(-1.0, 0.0, 0.0), *around])]
+
+
+def rounded_planes(planes: Sequence[Plane], radius: float) -> tuple[Rounded, NDArray[np.float64]]:
+    """Three planes that meet below the rest of the `planes`, rounded, the lowest place at z = 0; and points on the surface, within the
+    rest, whose hull is a coarse one. A plane x = 0 among the rest is one that the surface is symmetric about."""
+    normals, rest = (np.array([plane.normal for plane in some]) for some in (planes[:3], planes[3:]))
+    offsets = np.array([plane.offset for plane in planes[3:]])
+    drop = radius * (1.0 / abs(normals[0, 2]) - 1.0)
+    inner = [Plane(plane.normal, -plane.normal[2] * drop - radius) for plane in planes[:3]]
+    patch = Rounded((inner[0], inner[1], inner[2]), radius)
+    apex, steps = np.array([0.0, 0.0, radius]), np.linspace(0.0, 1.0, ROUND_STEPS + 1)
+    ways = np.array([i * normals[0] + j * normals[1] + (1 - i - j) * normals[2] for i in steps for j in steps if i + j <= 1 + 1e-9])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    points = [apex + radius * ways]
+    for one, other in itertools.combinations(normals, 2):
+        ridge = np.cross(one, other)
+        ridge *= np.sign(ridge[2]) / np.linalg.norm(ridge)
+        begin = apex + radius * ways[np.abs(ways @ ridge) < 1e-9]  # the arc between the two faces
+        room = offsets - begin @ rest.T
+        begin, room = begin[(room >= -1e-12).all(axis=1)], room[(room >= -1e-12).all(axis=1)]
+        along = rest @ ridge
+        points.append(begin + (room[:, along > 1e-9] / along[along > 1e-9]).min(axis=1)[:, None] * ridge)
+    sharp = [Plane(plane.normal, plane.offset + radius) for plane in inner]
+    corners = polyhedron([*sharp, *planes[3:]])
+    points += [patch.project(corners), corners]
+    found = np.vstack(points)
+    flat = found * [0.0, 1.0, 1.0]
+    for _ in range(100):
+        flat = patch.project(flat) * [0.0, 1.0, 1.0]
+    found = np.vstack([found, flat]) if (-1.0, 0.0, 0.0) in [plane.normal for plane in planes[3:] if not plane.offset] else found
+    within, outward = patch.outward(found)
+    deep = ((found - within) * outward).sum(axis=1) <= radius + 1e-9
+    found = found[deep & (found @ rest.T <= offsets + 1e-9).all(axis=1)]
+    found[np.abs(found) < 1e-12] = 0.0
+    _, first = np.unique(np.round(found, 9), axis=0, return_index=True)
+    return patch, found[np.sort(first)]
 
 
 PLANES: dict[str, Callable[[Body, frozenset[str]], list[Plane]]] = {"corner": _corner}

@@ -12,10 +12,8 @@ Left out: fillets on the sharp rims (a real cast has 0.1 mm or so).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import combinations
 
 import numpy as np
 
@@ -26,7 +24,7 @@ from gelsim.scene.motion import motion, widest
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import cut_flat, file_stamp, read_part
 from gelsim.shape.orientation import is_reoriented, orientation, turned
-from gelsim.shape.outlines import PLANES, Profile, bore, profile, sides, underside
+from gelsim.shape.outlines import PLANES, Profile, bore, edge_radius, profile, rounded_planes, sides, underside
 from gelsim.shape.pad import pad_height
 from gelsim.shape.solids import (
     HULL_STEP,
@@ -39,6 +37,7 @@ from gelsim.shape.solids import (
     Sweep,
     membership,
     mirrored,
+    polyhedron,
     project_polyhedron,
     snap,
     solid_surface,
@@ -92,6 +91,10 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
     hull = faces = None
     if row.made == "planes":
         patches += PLANES[body.shape](body, symmetry)
+        if not body.rigid and (radius := edge_radius(body)):  # what is rigid is rounded by its field
+            planes, _ = closed(patches, body, symmetry)
+            rounded_three, hull = rounded_planes([plane for plane in planes if isinstance(plane, Plane)], radius)
+            patches[:3] = [rounded_three]
     else:
         segments, hollow = profile(body), bore(body)
         patches += runs(segments, row.turned)
@@ -104,7 +107,7 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
             half = sides(body)[1]
             patches += [Plane((0.0, y, 0.0), half) for y in (1.0, *(() if "y" in symmetry else (-1.0,)))]
     whole, roles = closed(patches, body, symmetry)
-    return Solid(whole, roles, _polyhedron(whole) if hull is None else hull, faces)
+    return Solid(whole, roles, polyhedron(whole) if hull is None else hull, faces)
 
 
 def closed(contact: list[Patch], body: Body, symmetry: frozenset[str]) -> tuple[tuple[Patch, ...], tuple[str, ...]]:
@@ -191,23 +194,6 @@ def hull_points(segments: Profile, body: Body, symmetry: frozenset[str], step: f
     axis = [[0.0, 0.0, low]] if pointed or len(symmetry) == 2 else []
     axis += [[0.0, 0.0, h]] if len(symmetry) == 2 else []
     return np.vstack([*rings, np.array(axis).reshape(-1, 3)])
-
-
-def _polyhedron(planes: Sequence[Patch]) -> Array:
-    """Corners of the convex body below all the planes."""
-    normals = np.array([p.normal for p in planes if isinstance(p, Plane)])
-    offsets = np.array([p.offset for p in planes if isinstance(p, Plane)])
-    corners = []
-    for three in combinations(range(len(normals)), 3):
-        a = normals[list(three)]
-        if abs(np.linalg.det(a)) > 1e-9:
-            p = np.linalg.solve(a, offsets[list(three)])
-            if (normals @ p <= offsets + 1e-12).all():
-                corners.append(p)
-    found = np.array(corners)
-    found[np.abs(found) < 1e-15] = 0.0  # so that corners on a cut plane are exactly on it
-    _, first = np.unique(np.round(found, 10), axis=0, return_index=True)
-    return found[np.sort(first)]
 
 
 # ---------------------------------------------------------------------------------------------------------------- surfaces
@@ -363,6 +349,7 @@ def project(body: Body, points: Array) -> Array:
     row = SHAPES[body.shape]
     assert not bore(body) and not row.relief and not is_reoriented(body), "of these only the patches are known"
     if row.made == "planes":
+        assert body.rigid or not edge_radius(body), "of a rounded one too"
         return project_polyhedron(solid(body), points)
     boundary = Sweep(_closed_outline(body), row.turned)
     if row.turned:

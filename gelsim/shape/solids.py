@@ -1,6 +1,7 @@
 """Solids bounded by smooth patches, and triangles on them that lie exactly where they should.
 
-A patch is a plane, a ball, a height field, or a profile of lines and circular arcs turned about z or drawn along y. Every patch knows a
+A patch is a plane, planes rounded where they meet, a ball, a height field, or a profile of lines and circular arcs turned about z or drawn
+along y. Every patch knows a
 point on itself near any other (of all but a height field the closest), so that vertices and mid-side nodes can be put where they belong; a
 point on a crease lies on both patches at once and is found by alternating projections (von Neumann 1950: they converge linearly, with the
 squared cosine of the angle between the patches).
@@ -9,7 +10,7 @@ Triangles come from the convex hull of a few points of the solid, or where it is
 longest-edge bisection (Rivara 1984) until every edge is as short as asked and every chord as close to the solid as asked; new vertices go
 onto the patches of the faces that meet there.
 
-Left out: fillets.
+Left out: other fillets.
 """
 
 from __future__ import annotations
@@ -185,6 +186,39 @@ class Ball:
 
 
 @dataclass(frozen=True)
+class Rounded:
+    """The smooth surface a radius away from the convex body below three planes that meet: these, their edges and their corner rounded."""
+
+    planes: tuple[Plane, Plane, Plane]
+    """Of the body within."""
+    radius: float
+
+    def outward(self, points: Array) -> tuple[Array, Array]:
+        """Closest points of the body within and unit vectors away from it, both (N, 3); of points in it its nearest plane's."""
+        normals, offsets = (np.array([getattr(plane, name) for plane in self.planes]) for name in ("normal", "offset"))
+        beyond = points @ normals.T - offsets
+        nearest, outside = normals[beyond.argmax(axis=1)], beyond.max(axis=1) > 0.0
+        best, distance = points - beyond.max(axis=1)[:, None] * nearest, np.full(len(points), np.inf)
+        for count in (1, 2, 3):
+            for some in combinations(range(3), count):
+                a = normals[list(some)]
+                found = points - beyond[:, list(some)] @ np.linalg.pinv(a).T
+                away = np.linalg.norm(found - points, axis=1)
+                better = outside & (away < distance) & (found @ normals.T <= offsets + 1e-12).all(axis=1)
+                best[better], distance[better] = found[better], away[better]
+        away = points - best
+        size = np.linalg.norm(away, axis=1, keepdims=True)
+        return best, np.where(outside[:, None] & (size > 1e-12), away / np.maximum(size, 1e-300), nearest)
+
+    def project(self, points: Array) -> Array:
+        within, outward = self.outward(points)
+        return within + self.radius * outward
+
+    def normals(self, points: Array) -> Array:
+        return self.outward(points)[1]
+
+
+@dataclass(frozen=True)
 class HeightField:
     """z = level + Σ a cos(kx x + ky y + phase), the solid above it. Points are put on it straight up or down."""
 
@@ -210,7 +244,7 @@ class HeightField:
         return down / np.linalg.norm(down, axis=1, keepdims=True)
 
 
-Patch = Plane | Sweep | Ball | HeightField
+Patch = Plane | Rounded | Sweep | Ball | HeightField
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +258,23 @@ class Solid:
     """Corners of a coarse polyhedron inscribed in it, (P, 3)."""
     faces: NDArray[np.int32] | None = None
     """Its outward triangles, (F, 3), for a solid that is not convex; None: their convex hull."""
+
+
+def polyhedron(planes: Sequence[Patch]) -> Array:
+    """Corners of the convex body below all the planes."""
+    normals = np.array([p.normal for p in planes if isinstance(p, Plane)])
+    offsets = np.array([p.offset for p in planes if isinstance(p, Plane)])
+    corners = []
+    for three in combinations(range(len(normals)), 3):
+        a = normals[list(three)]
+        if abs(np.linalg.det(a)) > 1e-9:
+            p = np.linalg.solve(a, offsets[list(three)])
+            if (normals @ p <= offsets + 1e-12).all():
+                corners.append(p)
+    found = np.array(corners)
+    found[np.abs(found) < 1e-15] = 0.0  # so that corners on a cut plane are exactly on it
+    _, first = np.unique(np.round(found, 10), axis=0, return_index=True)
+    return found[np.sort(first)]
 
 
 def patch_distances(patches: tuple[Patch, ...], points: Array) -> Array:

@@ -11,6 +11,7 @@ from gelsim.errors import SceneError
 from gelsim.geometry import TriMesh, enclosed_volume, face_shape_functions, is_closed
 from gelsim.mesh.inclusions import flesh, grain_centres
 from gelsim.scene.definition import Body, Gel, Grains, Press, Scene, Skin
+from gelsim.scene.layers import build_scene
 from gelsim.shape.shapes import (
     gel_height,
     object_surface,
@@ -22,7 +23,7 @@ from gelsim.shape.shapes import (
     sharp_edges,
     solid,
 )
-from gelsim.shape.solids import solid_surface
+from gelsim.shape.solids import Plane, solid_surface
 from gelsim.views.inspection import inspect
 
 PI = np.pi
@@ -95,6 +96,37 @@ def test_volumes_of_shapes_that_are_not_convex(body: Body, expected: float, symm
         assert not len(edges)
     for axis in symmetry:
         assert surface.vertices[:, "xy".index(axis)].min() == 0.0
+
+
+def test_a_soft_corner_is_round() -> None:
+    """All of it is a radius away from the corner that lies so deep in the sharp one; nothing is sharp below, and the top stays."""
+    sharp, body, radius = Body(shape="corner"), Body(shape="corner", edge_radius_mm=0.3), 0.3e-3
+    surface = object_surface(body, edge_length=1e-3, chord=1e-6)
+    assert is_closed(surface.faces)
+    assert surface.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-12) and surface.vertices[:, 2].max() == pytest.approx(25e-3)
+    assert (sharp_edges(sharp)[..., 2].min(axis=1) < 1e-6).any() and sharp_edges(body)[..., 2].min() > 5e-3  # where its sides begin
+    low = surface.vertices[(np.abs(surface.vertices) < 4e-3).all(axis=1)]
+    normals = np.array([p.normal for p in solid(sharp).patches[:3] if isinstance(p, Plane)])
+    beyond = (low - [0.0, 0.0, radius]) @ normals.T  # of the corner within, which has its apex a radius up
+    assert beyond.max() == pytest.approx(radius, abs=1e-9) and beyond.max(axis=1).min() > 0.5 * radius
+    away = np.array([np.linalg.norm(p - nearest(p - [0, 0, radius], normals) - [0, 0, radius]) for p in low[::7]])
+    assert away == pytest.approx(radius, abs=1e-9)
+    halves = object_surface(body, edge_length=1e-3, chord=1e-6, symmetry=frozenset("x"))
+    assert enclosed_volume(halves) * 2 == pytest.approx(enclosed_volume(surface), rel=1e-5)
+
+
+def nearest(point: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Of the cone of what lies below three planes through the origin the point that is nearest, by quadratic programming in the dual."""
+    from scipy.optimize import nnls
+
+    pushed, _ = nnls(normals.T, point)  # Moreau: what is not of the cone is of its polar, which the normals span
+    return point - normals.T @ pushed
+
+
+def test_what_has_no_soft_rim_says_so() -> None:
+    with pytest.raises(SceneError, match='edge_radius_mm = 0.2 mm: of soft shapes corner has one, shape = "box" none'):
+        build_scene({"object": {"shape": "box", "edge_radius_mm": 0.2}})
+    assert build_scene({"object": {"shape": "box", "edge_radius_mm": 0.2, "rigid": True}})
 
 
 def test_a_tube_has_the_wall_it_says() -> None:
