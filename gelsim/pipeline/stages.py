@@ -140,7 +140,7 @@ def press(
     record.choices["object_modulus_kpa"] = object_material.youngs_modulus / 1e3 if object_material else None
     for name, material in list(object_materials.items())[1:]:
         record.choices[f"{name}_modulus_kpa"] = material.youngs_modulus / 1e3
-    if scene.object.rigid or edge_radius(scene.object):
+    if scene.object.rigid or scene.object.edge_radius_mm:
         record.choices["edge_radius_mm"] = edge_radius(scene.object, scene.fidelity) / MM
     if reduction.planar:
         free = scene.press.symmetry == "auto"

@@ -46,12 +46,9 @@ def wall(body: Body) -> float:
 
 
 def edge_radius(body: Body, fidelity: str = "balanced") -> float:
-    """Of an object's rims and edges [m]: as the scene says, else none of a soft one, of a rigid one its shape's, a quarter of the smallest
-    feature at most."""
+    """Of a rigid object's rims and edges [m]: as the scene says, else its shape's, a quarter of the smallest feature at most."""
     if body.edge_radius_mm is not None:
         return body.edge_radius_mm * MM
-    if not body.rigid:
-        return 0.0
     row, blunter = SHAPES[body.shape], BLUNTER.get(fidelity, 1.0)
     features = [2 * side for side in sides(body)] if row.drawn or row.relief else []
     features += [wall(body)] if row.wall else []

@@ -24,7 +24,7 @@ from gelsim.scene.motion import motion, widest
 from gelsim.scene.shape_table import SHAPES
 from gelsim.shape.mesh_file import cut_flat, file_stamp, read_part
 from gelsim.shape.orientation import is_reoriented, orientation, turned
-from gelsim.shape.outlines import PLANES, Profile, bore, edge_radius, profile, rounded_planes, sides, underside
+from gelsim.shape.outlines import PLANES, Profile, bore, profile, rounded_planes, sides, underside
 from gelsim.shape.pad import pad_height
 from gelsim.shape.solids import (
     HULL_STEP,
@@ -91,9 +91,9 @@ def solid(body: Body, symmetry: frozenset[str] = frozenset(), step: float = HULL
     hull = faces = None
     if row.made == "planes":
         patches += PLANES[body.shape](body, symmetry)
-        if not body.rigid and (radius := edge_radius(body)):  # what is rigid is rounded by its field
+        if not body.rigid and body.edge_radius_mm:  # what is rigid is rounded by its field
             planes, _ = closed(patches, body, symmetry)
-            rounded_three, hull = rounded_planes([plane for plane in planes if isinstance(plane, Plane)], radius)
+            rounded_three, hull = rounded_planes([plane for plane in planes if isinstance(plane, Plane)], body.edge_radius_mm * MM)
             patches[:3] = [rounded_three]
     else:
         segments, hollow = profile(body), bore(body)
@@ -349,7 +349,7 @@ def project(body: Body, points: Array) -> Array:
     row = SHAPES[body.shape]
     assert not bore(body) and not row.relief and not is_reoriented(body), "of these only the patches are known"
     if row.made == "planes":
-        assert body.rigid or not edge_radius(body), "of a rounded one too"
+        assert body.rigid or not body.edge_radius_mm, "of a rounded one too"
         return project_polyhedron(solid(body), points)
     boundary = Sweep(_closed_outline(body), row.turned)
     if row.turned:
