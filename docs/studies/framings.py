@@ -94,8 +94,8 @@ def main() -> None:
         frames = list(_video(file, 0.0, None))[::EVERY]
         found = []
         peak = int(np.argmax([np.abs(frame.astype(float) - frames[0]).mean() for frame in frames]))
-        change = np.maximum(np.abs(frames[peak].astype(float) - frames[0]).mean(axis=2) - 5.0, 0.0).sum(axis=0)
-        kinds = framings(frames[0].shape[1::-1], options.mm_per_px, int(np.average(np.arange(len(change)), weights=change)))
+        changed = np.maximum(np.abs(frames[peak].astype(float) - frames[0]).mean(axis=2) - 5.0, 0.0).sum(axis=0)
+        kinds = framings(frames[0].shape[1::-1], options.mm_per_px, int(np.average(np.arange(len(changed)), weights=changed)))
         names = [name for name, _, _ in kinds]
         kept = [frame for frame, chance in zip(frames, np.random.default_rng(0).random(len(frames)), strict=True) if chance < 1 / 3]
         orders = {TOUCHED: frames[peak:] + frames, TWICE: frames + frames, LOST: frames[:1] + kept}

@@ -244,7 +244,7 @@ def _corner(body: Body, symmetry: frozenset[str]) -> list[Plane]:
 
 def rounded_planes(planes: Sequence[Plane], radius: float) -> tuple[Rounded, NDArray[np.float64]]:
     """Three planes that meet below the rest of the `planes`, rounded, the lowest place at z = 0; and points on the surface, within the
-    rest, whose hull is a coarse one. A plane x = 0 among the rest is one that the surface is symmetric about."""
+    rest, whose hull is a coarse one. It is symmetric about x = 0, where points are for a cut there."""
     normals, rest = (np.array([plane.normal for plane in some]) for some in (planes[:3], planes[3:]))
     offsets = np.array([plane.offset for plane in planes[3:]])
     drop = radius * (1.0 / abs(normals[0, 2]) - 1.0)
@@ -269,7 +269,7 @@ def rounded_planes(planes: Sequence[Plane], radius: float) -> tuple[Rounded, NDA
     flat = found * [0.0, 1.0, 1.0]
     for _ in range(100):
         flat = patch.project(flat) * [0.0, 1.0, 1.0]
-    found = np.vstack([found, flat]) if (-1.0, 0.0, 0.0) in [plane.normal for plane in planes[3:] if not plane.offset] else found
+    found = np.vstack([found, flat])
     within, outward = patch.outward(found)
     deep = ((found - within) * outward).sum(axis=1) <= radius + 1e-9
     found = found[deep & (found @ rest.T <= offsets + 1e-9).all(axis=1)]

@@ -350,7 +350,7 @@ def project(body: Body, points: Array) -> Array:
     assert not bore(body) and not row.relief and not is_reoriented(body), "of these only the patches are known"
     if row.made == "planes":
         assert body.rigid or not body.edge_radius_mm, "of a rounded one too"
-        return project_polyhedron(solid(body), points)
+        return project_polyhedron(solid(body).patches, points)
     boundary = Sweep(_closed_outline(body), row.turned)
     if row.turned:
         return boundary.project(points)

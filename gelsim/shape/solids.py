@@ -194,21 +194,12 @@ class Rounded:
     radius: float
 
     def outward(self, points: Array) -> tuple[Array, Array]:
-        """Closest points of the body within and unit vectors away from it, both (N, 3); of points in it its nearest plane's."""
+        """Closest points on the body within and unit vectors out of it there, both (N, 3)."""
         normals, offsets = (np.array([getattr(plane, name) for plane in self.planes]) for name in ("normal", "offset"))
-        beyond = points @ normals.T - offsets
-        nearest, outside = normals[beyond.argmax(axis=1)], beyond.max(axis=1) > 0.0
-        best, distance = points - beyond.max(axis=1)[:, None] * nearest, np.full(len(points), np.inf)
-        for count in (1, 2, 3):
-            for some in combinations(range(3), count):
-                a = normals[list(some)]
-                found = points - beyond[:, list(some)] @ np.linalg.pinv(a).T
-                away = np.linalg.norm(found - points, axis=1)
-                better = outside & (away < distance) & (found @ normals.T <= offsets + 1e-12).all(axis=1)
-                best[better], distance[better] = found[better], away[better]
-        away = points - best
+        beyond, within = points @ normals.T - offsets, project_polyhedron(self.planes, points)
+        away = np.sign(beyond.max(axis=1, keepdims=True)) * (points - within)
         size = np.linalg.norm(away, axis=1, keepdims=True)
-        return best, np.where(outside[:, None] & (size > 1e-12), away / np.maximum(size, 1e-300), nearest)
+        return within, np.where(size > 1e-12, away / np.maximum(size, 1e-300), normals[beyond.argmax(axis=1)])
 
     def project(self, points: Array) -> Array:
         within, outward = self.outward(points)
@@ -454,10 +445,10 @@ def mirrored(vertices: Array, faces: NDArray[np.int32], axis: str) -> tuple[Arra
     return welded(np.vstack([vertices, image]), np.vstack([faces, faces[:, ::-1] + len(vertices)]))
 
 
-def project_polyhedron(shape: Solid, points: Array) -> Array:
-    """Closest points on a convex polyhedron: on a plane where that point lies in the solid, else on an edge, else a corner."""
-    normals = np.array([p.normal for p in shape.patches if isinstance(p, Plane)])
-    offsets = np.array([p.offset for p in shape.patches if isinstance(p, Plane)])
+def project_polyhedron(planes: Sequence[Patch], points: Array) -> Array:
+    """Closest points on the convex body below all planes: on a plane where that point lies in the body, else on an edge, else a corner."""
+    normals = np.array([p.normal for p in planes if isinstance(p, Plane)])
+    offsets = np.array([p.offset for p in planes if isinstance(p, Plane)])
     best, distance = points.copy(), np.full(len(points), np.inf)
     for count in (1, 2, 3):
         for some in combinations(range(len(normals)), count):

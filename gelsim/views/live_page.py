@@ -365,11 +365,9 @@ def _size(body: Body) -> float:
 
 def _shore(body: Body) -> float:
     """What the slider says of an object's hardness, in whole Shore 00; of a rigid one, of that which it would have."""
-    modulus = materials.youngs_modulus(replace(body, rigid=False))
-    low, high = SHORES
-    if modulus >= materials.modulus_from_shore_00(high):
-        return high
-    return float(round(max(low, materials.shore_00_from_modulus(max(modulus, materials.modulus_from_shore_00(low))))))
+    softest, hardest = (materials.modulus_from_shore_00(shore) for shore in SHORES)
+    modulus = min(max(materials.youngs_modulus(replace(body, rigid=False)), softest), hardest)
+    return float(round(materials.shore_00_from_modulus(modulus)))
 
 
 def _colours() -> Picture:
