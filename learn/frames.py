@@ -7,7 +7,8 @@ The signal of a frame is its mean intensity change, a proxy for the force (Yuan 
 B is the no-contact frame. Loading begins at the first frame with s over a threshold and ends at the largest s (the last such frame).
 T frames are taken between at equal steps of s, so that neither speed nor frame rate matters. The paper names neither its threshold nor
 a deadband: with 0 this is its rule; above, pixels that only carry noise do not count. Left out: anything that looks at where the change is.
-In a video of several presses, or one that starts in contact, `find_press` finds rest and the beginning of the hardest press.
+In a video of several presses, or one that starts in contact, `find_press` finds rest and the beginning of the hardest press; where that
+goes on to turn or slide, its end too: markers move on while means over cells as large as a marker's own field stand still.
 """
 
 from __future__ import annotations
@@ -25,6 +26,12 @@ FIXED_POINT = 256
 PRESSED, LET_GO = 1 / 3, 0.1
 """Shares of the largest signal above which a frame is pressed, and below which it is free. Of real videos from rest the plainest frame has
 0.08 or less of it in 95 %; one of 152, where light drifts and no contact shows, is taken for one that is let go."""
+
+CELLS = (9, 12)
+"""Over a picture; of 18.4 mm, 1.5 mm wide: markers that move within them change no mean."""
+STEADY = 0.95
+"""Share of the largest change of these means from which on a press presses no harder. That of single pixels grows at most as its square:
+what was below STEADY² of its peak has grown by something else."""
 
 
 @lru_cache(maxsize=32)
@@ -103,10 +110,12 @@ def loading(signal: NDArray[np.floating], config: InputConfig, end_share: float 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Which of a video's frames is the gel untouched, and from which on it is pressed."""
+    """Which of a video's frames is the gel untouched, and between which it is pressed."""
 
     rest: int
     begin: int
+    end: int
+    """The first that is no more read."""
     signal: NDArray[np.float64]
     """Of all frames, against the gel untouched."""
     note: str = ""
@@ -123,7 +132,7 @@ def find_press(pictures: NDArray[np.floating], inputs: InputConfig, rest: NDArra
     """
     signal, plainest, words = change_signal(pictures, pictures[0] if rest is None else rest, inputs.deadband_levels), 0, []
     if signal.max() <= inputs.contact_levels:
-        return Found(0, 0, signal)
+        return Found(0, 0, len(signal), signal)
     if rest is None:
         plain = int(np.argmin([structure(picture) for picture in pictures]))
         from_plain = change_signal(pictures, pictures[plain], inputs.deadband_levels)
@@ -137,12 +146,28 @@ def find_press(pictures: NDArray[np.floating], inputs: InputConfig, rest: NDArra
         raise LearnError("it starts in contact and is let go, and not pressed again; if it does not, --background names a frame untouched")
     low = np.flatnonzero(signal[:peak] <= LET_GO * signal[peak])
     before = np.flatnonzero(signal[: low[-1]] > PRESSED * signal[peak]) if len(low) else low
-    if len(before) == 0:
-        return Found(plainest, 0, signal, "; ".join(words))
-    begin = peak - 1 - int(np.argmin(signal[before[-1] : peak][::-1]))
-    if not words:
-        words.append(f"it shows several presses: the hardest was read, from frame {begin} on")
-    return Found(plainest, begin, signal, "; ".join(words))
+    begin, end = 0, len(signal)
+    if len(before):
+        begin = peak - 1 - int(np.argmin(signal[before[-1] : peak][::-1]))
+        if not words:
+            words.append(f"it shows several presses: the hardest was read, from frame {begin} on")
+    dent, fine = dent_and_change(pictures[begin : peak + 1], pictures[plainest] if rest is None else rest)
+    steady = int(np.argmax(dent >= STEADY * dent.max()))
+    if fine[steady] < STEADY**2 * fine[-1]:
+        end = begin + steady + 1
+        words.append(f"from frame {end} on it is turned or slid, which was not read")
+    return Found(plainest, begin, end, signal, "; ".join(words))
+
+
+def dent_and_change(pictures: NDArray[np.floating], rest: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Mean size of what means over CELLS, and of what single pixels of pictures (N, h, w, 3) differ by from rest [levels], shape (2, N)."""
+    down, across = (_averaging(size, cells) for size, cells in zip(rest.shape[:2], CELLS, strict=True))
+
+    def both(change: NDArray[np.floating]) -> tuple[float, float]:
+        coarse = np.einsum("rh,hwk,cw->rck", down, change, across, optimize=True)
+        return float(np.abs(coarse).mean()), float(np.abs(change).mean())
+
+    return np.array([both(picture - rest) for picture in pictures]).T
 
 
 def structure(picture: NDArray[np.floating]) -> float:

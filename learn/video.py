@@ -118,8 +118,9 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
         raise LearnError(f"{path}: {error}") from None
     rest = pictures[found.rest] if given_rest is None else given_rest
     signal = found.signal
+    read = slice(found.begin, found.end)
     if scale is not None:  # where the contact is, is known once all has been read: it is read again
-        centre = contact_centre(pictures[found.begin :], rest, signal[found.begin :], inputs.deadband_levels)
+        centre = contact_centre(pictures[read], rest, signal[read], inputs.deadband_levels)
 
         def around(kept: NDArray[np.uint8]) -> NDArray[np.uint16]:
             return at_scale(kept, picture, scale, centre)
@@ -128,7 +129,7 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
             pictures = _seen(path, opened, framing, around)
         rest = pictures[found.rest] if background is None else levels_of(around(framing.kept(_picture(background), str(background))))
         signal = change_signal(pictures, rest, inputs.deadband_levels)
-    recording = Recording(rest, pictures[found.begin :], signal[found.begin :], scaled=scale is not None)
+    recording = Recording(rest, pictures[read], signal[read], scaled=scale is not None)
     notes = [] if framing is given else ["a border was cut off (--crop {} {} {} {})".format(*framing.crop or ())]
     notes += [found.note] if found.note else []
     return _checked(Source(str(path), recording, gel=_gel_beside(path), note="; ".join(notes)))

@@ -39,7 +39,7 @@ def measured(seed: int, index: int, parts: Path | None = None) -> dict[str, Any]
 
 def as_asked(row: dict[str, Any]) -> bool:
     """Whether a press was solved to its end, or as far as the object bears."""
-    return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] != PressEnd.LOST
+    return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] not in (PressEnd.LOST, PressEnd.SLOW)
 
 
 def summary(rows: list[dict[str, Any]], of: int) -> str:

@@ -91,7 +91,7 @@ def said(scene: Layer) -> str:
 
 
 def _solved(row: Row) -> bool:
-    return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] != PressEnd.LOST
+    return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] not in (PressEnd.LOST, PressEnd.SLOW)
 
 
 def _failed(rows: list[Row]) -> list[Row]:

@@ -61,6 +61,7 @@ FORCE_TOLERANCE = 2e-3  # of force_n
 REACHED = 5e-3  # of force_n: nearer than that it counts as reached where no nearer state is found
 GAVE_WAY = 0.9  # of the largest normal force so far: what is pressed to a force alone and bears less has given way …
 OUT_OF_REACH = 2.0  # … or, once SOON, where not even so many times the force to which it grows by a power law would be enough
+PACE = 100  # Newton iterations by which the pace of a press is judged: about a step that is halved to the smallest
 SOON = 30  # Newton iterations of solves that failed, some two of them, after which a press is tried otherwise
 JUMPED = 0.03  # share of a step's work that went nowhere, above which it has left its branch of equilibria
 FIRST_STEP = 0.25e-3  # [m] a flat block's whole rim touches at once: begun with longer ones it keeps ten times the overlap
@@ -242,6 +243,9 @@ class _March:
         """Approach [m] and normal force [N] of the equilibrium before the last."""
         self._snapped = False
         self._iterations = self._factorisations = self._wasted = 0
+        self._spent = 0
+        self._passed: list[tuple[float, int]] = []
+        """Approach [m] of the equilibria so far, and Newton iterations until each."""
         self.most, self.gave_way, self.beyond = (0.0, 0.0), False, ""
         """Largest normal force [N] so far, and the approach [m] there; what is said of a force that is out of reach."""
         self.bore = 0.0
@@ -310,6 +314,8 @@ class _March:
             if not (yield from self._attempt_step(here, new)):
                 if self._gives_way(self.normal_force, 1 - FORCE_TOLERANCE) or self._out_of_reach():
                     return self._end_here(progress)
+                if self._too_slow():
+                    return False
                 step, easy, self.halved = min((new - here.time) / 2, longest), 0, self.halved + 1
                 if step < SMALLEST_STEP * spacing * (1 - 1e-9) or self._wasted > problem.most_wasted:
                     return False
@@ -377,6 +383,26 @@ class _March:
         )
         return True
 
+    def _too_slow(self) -> bool:
+        """Whether a press to a force alone, which has failed for some time in its last try, would need more iterations than one may waste.
+
+        Its pace is that of the last PACE iterations, over a step at least; how far the force is, its growth by a power law.
+        """
+        last = self.problem.held and self.problem.most_wasted > SOON
+        if not last or not self._to_force_alone or self._wasted <= SOON or self._rate <= 0.0 or self.normal_force <= 0.0:
+            return False
+        assert self.stop_n is not None
+        ago = ((self.approach - approach, self._spent - spent) for approach, spent in reversed(self._passed) if approach < self.approach)
+        travel, spent = next((one for one in ago if one[1] >= PACE), (self.approach, self._spent))
+        left = _approach_of(self.stop_n, self._before, (self.approach, self.normal_force)) - self.approach
+        if spent * left / travel <= self.problem.most_wasted:
+            return False
+        self.beyond = (
+            f" with {self.normal_force:.3g} N: the last {travel * MM_PER_M:.2g} mm took {spent} Newton iterations, and "
+            f"{left * MM_PER_M:.2g} more would be needed"
+        )
+        return True
+
     def _end_here(self, progress: Progress | None) -> bool:
         """Ends the leg in its last equilibrium, which is recorded."""
         self.gave_way, self.status, self.message = True, SolveStatus.CONVERGED, ""
@@ -419,6 +445,7 @@ class _March:
     def _arrive(self, state: _State, force: float) -> None:
         """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""
         self._before = self.approach, self.normal_force
+        self._passed.append((state.approach, self._spent))
         self.most = max(self.most, (force, state.approach))
         self.here, self.time, self.approach, self.normal_force = state, state.time, state.approach, force
         self._stiffness = self._rate or self._stiffness
@@ -569,6 +596,7 @@ class _March:
 
     def _count(self, report: NewtonReport) -> None:
         self._iterations += report.iterations
+        self._spent += report.iterations
         self._factorisations += report.factorisations
         self._snapped |= report.snapped
 
@@ -703,6 +731,8 @@ class _Search(_March):
             return self.most[1], PressEnd.GAVE_WAY, self.beyond
         # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
         if self.status is not SolveStatus.CONVERGED and self.approach > 0.0:
+            if self.beyond:
+                return self.approach, PressEnd.SLOW, self.beyond
             return self.approach, PressEnd.LOST, f" with {self.normal_force:.3g} N; further on {self.status.value}"
         return self.depth, PressEnd.LIMIT, ""
 

@@ -73,6 +73,17 @@ def test_the_press_of_a_film_is_found(
         assert find_press(film, INPUTS).rest == 0
 
 
+def test_where_a_press_goes_on_to_slide_its_markers_are_not_read(rng: np.random.Generator) -> None:
+    """Stripes two pixels wide, of cells of eight, move on by one in each of three more frames; where they do not, all is read."""
+    film = filmed(rng, [*UP, 60.0, 60.0, 60.0]).repeat(3, axis=1).repeat(3, axis=2)
+    stripes = 40.0 * (np.arange(96) // 2 % 2)[None, :, None] * np.ones((72, 1, 3))
+    slid = film + np.stack([stripes] * 4 + [np.roll(stripes, shift, axis=1) for shift in (1, 2, 1)])
+    found = find_press(slid, INPUTS)
+    assert found.end == len(UP) and "from frame 4 on it is turned or slid" in found.note
+    for pictures in (film, film + stripes):
+        assert find_press(pictures, INPUTS).end == len(film) and not find_press(pictures, INPUTS).note
+
+
 def test_a_press_that_is_only_let_go_is_none(rng: np.random.Generator) -> None:
     film = filmed(rng, [60.0, *DOWN, 0.0])
     with pytest.raises(LearnError, match="is let go, and not pressed again"):

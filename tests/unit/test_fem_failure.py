@@ -168,6 +168,37 @@ def test_a_press_says_what_it_ended_at(
     assert press.lost == (end is PressEnd.LOST)
 
 
+@pytest.mark.parametrize(("cost", "held", "end"), [(400, 20.0, PressEnd.SLOW), (10, 20.0, PressEnd.LOST), (400, 0.0, PressEnd.LOST)])
+def test_a_press_whose_force_lies_too_far_at_its_pace_ends_there(
+    monkeypatch: pytest.MonkeyPatch, cost: int, held: float, end: PressEnd
+) -> None:
+    """Beyond 0.4 mm each step that is tried costs so many iterations, of 200 that may be wasted; the force lies 0.1 mm on. Of a try that
+    others follow only those count."""
+    attempt = quasistatic._March._attempt  # pyright: ignore[reportPrivateUsage]
+
+    def slows(march, here, new, approach, **how):  # type: ignore[no-untyped-def]
+        if approach / MM <= 0.4 + 1e-9:
+            return (yield from attempt(march, here, new, approach, **how))
+        march.status, march._wasted, march._spent = SolveStatus.MAX_ITERATIONS, march._wasted + cost, march._spent + cost
+        return False
+
+    scene = ball_scene(0.4, 2, radius_mm=5.0)
+    gel = flat_gel(3.0, 4.0, 4, 6.0, 3.0)
+    bears = -run_press(problem_of(scene, gel, rigid_body(scene, gel))).force[-1, 2]
+    monkeypatch.setattr(quasistatic._March, "_attempt", slows)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(quasistatic, "furthest_approach", lambda scene: 0.6 * MM)
+    scene = scene.replace(press=replace(scene.press, depth_mm=None, force_n=1.5 * bears))
+    problem = problem_of(scene, gel, rigid_body(scene, gel))
+    problem.held, problem.most_wasted = held, 200
+    press = run_press(problem)
+    left = f"{0.25 * (1.5 * bears / -press.force[-1, 2] - 1):.2g}"  # on a line from where nothing is borne
+    assert press.report.ended_by is end and press.status is SolveStatus.CONVERGED and press.lost == (end is PressEnd.LOST)
+    assert press.approach[-1] == pytest.approx((0.25 if cost > 200 else 0.4) * MM, rel=0.03)  # steps are halved down to 1/64
+    said = float(press.report.warnings[-1].partition("with ")[2].partition(" N")[0])
+    assert said == pytest.approx(-press.force[-1, 2], rel=0.01)  # recorded, it is another step's
+    assert (f"Newton iterations, and {left} more" in press.report.warnings[-1]) == (end is PressEnd.SLOW)
+
+
 def test_the_approach_of_a_force_is_that_of_the_power_law_through_two_states() -> None:
     """Hertz' law from its own points, before, between and beyond; a line where one of them bears nothing."""
     approach_of = quasistatic._approach_of  # pyright: ignore[reportPrivateUsage]
