@@ -180,10 +180,10 @@ def test_a_random_scene_that_lost_its_equilibrium_before_its_force_has_not_conve
     rows.append({"name": "none", "shape": "edge", "status": "MAX_ITERATIONS", "states": 1, "message": "stopped", "ended_by": PressEnd.LOST})
     rows.append({"name": "no scene", "shape": "edge", "status": "SceneError", "message": "refused"})
     section = random_scenes.SECTION
-    assert [row["name"] for row in section.listed(rows)] == ["LOST", "none", "no scene"]
+    assert [row["name"] for row in section.listed(rows)] == ["SLOW", "LOST", "none", "no scene"]
     said = section.remarks(rows)
-    assert "4 of 7 converge" in said and "To a force that they do not carry: LIMIT, GAVE_WAY." in said
-    assert "Without these: 28.57 %." in said
+    assert "4 of 8 converge" in said and "To a force that they do not carry: LIMIT, GAVE_WAY." in said
+    assert "Without these: 25.00 %." in said
 
 
 def _misbehaves(how: str) -> dict[str, object]:
