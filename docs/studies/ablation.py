@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from random_scenes import as_asked
 
 from gelsim.bench import mesh_parts, presses, random_scenes, stability
+from gelsim.bench.random_scenes import as_asked
 from gelsim.bench.report import table
 from gelsim.bench.section import Layer
 from gelsim.errors import GelsimError

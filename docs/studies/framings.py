@@ -8,7 +8,7 @@ twice, and one of which two thirds of the frames are lost.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -79,6 +79,15 @@ def framings(size: tuple[int, int], mm: float, contact: int) -> list[tuple[str, 
     ]
 
 
+def read(frames: Iterable[np.ndarray], framing: Framing, sensor: str | None) -> float:
+    """What the shipped networks read from frames [Shore 00]; NaN: nothing."""
+    with TemporaryDirectory() as folder:
+        for number, frame in enumerate(frames):
+            Image.fromarray(np.ascontiguousarray(frame)).save(Path(folder) / f"{number:04d}.png", compress_level=1)
+        (answer,) = predict(find_models(["default"]), [Path(folder)], framing=framing, sensor=sensor, device="cpu")
+    return answer.get("shore_00", np.nan)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -100,11 +109,7 @@ def main() -> None:
         kept = [frame for frame, chance in zip(frames, np.random.default_rng(0).random(len(frames)), strict=True) if chance < 1 / 3]
         orders = {TOUCHED: frames[peak:] + frames, TWICE: frames + frames, LOST: frames[:1] + kept}
         for name, change, framing in [("as it is", np.asarray, Framing()), *kinds]:
-            with TemporaryDirectory() as folder:
-                for number, frame in enumerate(orders.get(name, frames)):
-                    Image.fromarray(np.ascontiguousarray(change(frame))).save(Path(folder) / f"{number:04d}.png", compress_level=1)
-                (answer,) = predict(find_models(["default"]), [Path(folder)], framing=framing, sensor=options.sensor, device="cpu")
-            found.append(answer.get("shore_00", np.nan))
+            found.append(read(map(change, orders.get(name, frames)), framing, options.sensor))
         for number, reading in enumerate(found[1:]):
             away.setdefault(number, []).append(abs(reading - found[0]))
         print(f"{file.name}: {found[0]:.1f}; " + ", ".join(f"{reading:.1f}" for reading in found[1:]), flush=True)

@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from gelsim.bench import mesh_parts, presses, random_scenes
-from gelsim.errors import GelsimError, PressEnd, SolveStatus
+from gelsim.bench.random_scenes import as_asked
+from gelsim.errors import GelsimError
 from gelsim.work.workers import in_environment, settings
 
 
@@ -35,11 +36,6 @@ def measured(seed: int, index: int, parts: Path | None = None) -> dict[str, Any]
     except (GelsimError, AssertionError) as error:  # a fault of ours is a row, and the others go on
         row |= {"status": type(error).__name__, "message": str(error)}
     return row | {"wall_s": round(time.perf_counter() - begun, 2)}
-
-
-def as_asked(row: dict[str, Any]) -> bool:
-    """Whether a press was solved to its end, or as far as the object bears."""
-    return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] not in (PressEnd.LOST, PressEnd.SLOW)
 
 
 def summary(rows: list[dict[str, Any]], of: int) -> str:

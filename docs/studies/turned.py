@@ -7,16 +7,13 @@ reading, and how far those of the whole videos lie from those of the presses alo
 """
 
 import argparse
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from PIL import Image
+from framings import read
 
 import gelsim
 from gelsim.scene.layers import build_scene
 from learn.framing import Framing
-from learn.predict import find_models, predict
 
 FRAMES = 16  # of the press, and as many of what follows
 BODIES = (
@@ -36,18 +33,12 @@ def main() -> None:
     away = []
     for number in range(options.presses):
         body = BODIES[number % len(BODIES)] | {"shore_00": SHORES[number // len(BODIES) % len(SHORES)]}
-        further = WAYS[number % 2 if number // len(BODIES) % 2 == 0 else 1 - number % 2]
-        depth = (0.8, 1.2)[number % 3 % 2]
+        further, depth = WAYS[(number + number // len(BODIES)) % 2], (0.8, 1.2, 0.8)[number % 3]
         press = {"path": [{"depth_mm": depth}, {"depth_mm": depth, **further}], "frames": 2 * FRAMES + 1}
         scene = build_scene({"object": body, "press": press, "fidelity": "fast", "render": {"mode": "baked"}})
         _, frames = gelsim.simulate(scene)
-        readings = []
-        for end in (FRAMES + 1, len(frames)):
-            with TemporaryDirectory() as folder:
-                for place, frame in enumerate(frames[:end]):
-                    Image.fromarray(frame.image).save(Path(folder) / f"{place:04d}.png", compress_level=1)
-                (answer,) = predict(find_models(["default"]), [Path(folder)], framing=Framing(), sensor="fingertip2017", device="cpu")
-            readings.append(answer.get("shore_00", np.nan))
+        pictures = [frame.image for frame in frames]
+        readings = [read(some, Framing(), "fingertip2017") for some in (pictures[: FRAMES + 1], pictures)]
         away.append(abs(readings[1] - readings[0]))
         print(f"{body['shape']} 00-{body['shore_00']:g}, {depth} mm, then {further}: {readings[0]:.1f}; {readings[1]:.1f}", flush=True)
     print(f"median {np.nanmedian(away):.1f}, 90 % {np.nanpercentile(away, 90):.1f}, no reading {int(np.isnan(away).sum())}")

@@ -90,12 +90,13 @@ def said(scene: Layer) -> str:
     return ", ".join([*words, f"μ {scene['contact']['friction_coefficient']}"])
 
 
-def _solved(row: Row) -> bool:
+def as_asked(row: Row) -> bool:
+    """Whether a press was solved to its end, or as far as the object bears."""
     return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] not in (PressEnd.LOST, PressEnd.SLOW)
 
 
 def _failed(rows: list[Row]) -> list[Row]:
-    return [row for row in rows if not _solved(row)]
+    return [row for row in rows if not as_asked(row)]
 
 
 def _by_shape(rows: list[Row]) -> list[Row]:
@@ -103,7 +104,7 @@ def _by_shape(rows: list[Row]) -> list[Row]:
     table = []
     for shape in (*sorted({row["shape"] for row in rows if "shape" in row}), "all"):
         mine = [row for row in rows if shape in (row.get("shape"), "all")]
-        solved = [row for row in mine if _solved(row)]
+        solved = [row for row in mine if as_asked(row)]
         if not solved:
             continue
 
@@ -124,16 +125,16 @@ def _remarks(rows: list[Row]) -> str:
     from gelsim.bench.report import table
 
     failed = _failed(rows)
-    limited = [row for row in rows if _solved(row) and row.get("ended_by") in (PressEnd.LIMIT, PressEnd.GAVE_WAY)]
+    limited = [row for row in rows if as_asked(row) and row.get("ended_by") in (PressEnd.LIMIT, PressEnd.GAVE_WAY)]
     squashed = ", ".join(row["name"] for row in limited)
     share = 1 - len(failed) / len(rows)
-    as_asked = sum(_solved(row) and row not in limited for row in rows)
+    reached = sum(as_asked(row) and row not in limited for row in rows)
     verdict = "too few scenes to tell" if len(rows) < COUNT else "met" if share >= WANTED else "NOT MET"
     lines = [
         f"{len(rows) - len(failed)} of {len(rows)} converge, {100 * share:.2f} % "
         f"(wanted {100 * WANTED:g} % of {COUNT}: {verdict}), seed {SEED}. "
         f"To a force that they do not carry: {squashed or 'none'}. "
-        f"Without these: {100 * as_asked / len(rows):.2f} %.",
+        f"Without these: {100 * reached / len(rows):.2f} %.",
         "",
         *table(
             (

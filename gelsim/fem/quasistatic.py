@@ -244,8 +244,6 @@ class _March:
         self._snapped = False
         self._iterations = self._factorisations = self._wasted = 0
         self._spent = 0
-        self._passed: list[tuple[float, int]] = []
-        """Approach [m] of the equilibria so far, and Newton iterations until each."""
         self.most, self.gave_way, self.beyond = (0.0, 0.0), False, ""
         """Largest normal force [N] so far, and the approach [m] there; what is said of a force that is out of reach."""
         self.bore = 0.0
@@ -384,24 +382,8 @@ class _March:
         return True
 
     def _too_slow(self) -> bool:
-        """Whether a press to a force alone, which has failed for some time in its last try, would need more iterations than one may waste.
-
-        Its pace is that of the last PACE iterations, over a step at least; how far the force is, its growth by a power law.
-        """
-        last = self.problem.held and self.problem.most_wasted > SOON
-        if not last or not self._to_force_alone or self._wasted <= SOON or self._rate <= 0.0 or self.normal_force <= 0.0:
-            return False
-        assert self.stop_n is not None
-        ago = ((self.approach - approach, self._spent - spent) for approach, spent in reversed(self._passed) if approach < self.approach)
-        travel, spent = next((one for one in ago if one[1] >= PACE), (self.approach, self._spent))
-        left = _approach_of(self.stop_n, self._before, (self.approach, self.normal_force)) - self.approach
-        if spent * left / travel <= self.problem.most_wasted:
-            return False
-        self.beyond = (
-            f" with {self.normal_force:.3g} N: the last {travel * MM_PER_M:.2g} mm took {spent} Newton iterations, and "
-            f"{left * MM_PER_M:.2g} more would be needed"
-        )
-        return True
+        """Whether a search has to be given up (`_Search`): where it found the force, the way is recorded however long that takes."""
+        return False
 
     def _end_here(self, progress: Progress | None) -> bool:
         """Ends the leg in its last equilibrium, which is recorded."""
@@ -445,7 +427,6 @@ class _March:
     def _arrive(self, state: _State, force: float) -> None:
         """Takes an equilibrium, settled, and its normal force [N] as where the march stands."""
         self._before = self.approach, self.normal_force
-        self._passed.append((state.approach, self._spent))
         self.most = max(self.most, (force, state.approach))
         self.here, self.time, self.approach, self.normal_force = state, state.time, state.approach, force
         self._stiffness = self._rate or self._stiffness
@@ -715,10 +696,34 @@ class _Search(_March):
         places = np.append(np.arange(0.0, self.depth, LONGEST_STEP), self.depth)
         super().__init__(problem, replace(way, recorded=places * MM_PER_M / press.speed_mm_s), record, press.force_n)
         self.trail: list[_State] = []
+        self.passed: list[int] = []
+        """Newton iterations until each of them."""
 
     def _arrive(self, state: _State, force: float) -> None:
         super()._arrive(state, force)
         self.trail.append(state)
+        self.passed.append(self._spent)
+
+    def _too_slow(self) -> bool:
+        """Whether a press to a force alone, which has failed for some time in its last try, would need more iterations than one may waste.
+
+        Its pace is that of the last PACE iterations, over a step at least; how far the force is, its growth by a power law.
+        """
+        last = self.problem.held and self.problem.most_wasted > SOON
+        if not last or not self._to_force_alone or self._wasted <= SOON or self._rate <= 0.0 or self.normal_force <= 0.0:
+            return False
+        assert self.stop_n is not None
+        behind = zip(reversed(self.trail), reversed(self.passed), strict=True)
+        ago = ((self.approach - state.approach, self._spent - spent) for state, spent in behind)
+        travel, spent = next((one for one in ago if one[0] > 0.0 and one[1] >= PACE), (self.approach, self._spent))
+        left = _approach_of(self.stop_n, self._before, (self.approach, self.normal_force)) - self.approach
+        if spent * left / travel <= self.problem.most_wasted:
+            return False
+        self.beyond = (
+            f" with {self.normal_force:.3g} N: the last {travel * MM_PER_M:.2g} mm took {spent} Newton iterations, and "
+            f"{left * MM_PER_M:.2g} more would be needed"
+        )
+        return True
 
     def found(self) -> tuple[float, PressEnd, str]:
         """Approach [m] at which the press ends, what it ends at there, and why no further.
