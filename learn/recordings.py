@@ -25,7 +25,7 @@ from gelsim.data.episodes import Dataset, lit, load_dataset
 from gelsim.errors import DatasetError, GelsimError
 from gelsim.files import whole_file
 from gelsim.results import Episode
-from gelsim.work.workers import SECONDS, Handful, LocalCrew, work_through
+from gelsim.work.workers import Handful, LocalCrew, work_through
 from learn.config import InputConfig
 from learn.features import NAMES, press_features
 from learn.frames import FIXED_POINT, averaged_pixels, change_signal, fit_picture, levels_of
@@ -37,8 +37,6 @@ _DRAWN_VERSION = 1
 """Of the light that is drawn here."""
 _AT_ONCE = 6
 """Episodes that a process reads before it reports, at least; those of a press stay together, for their surface is prepared once."""
-DRAWING_SECONDS = 150.0
-"""Allowed for so many on a GPU, which take 2 to 25 s: the last workers of three crews that shared four H100 stood still for good."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -168,7 +166,7 @@ class Reading:
     plan: str | None = None
     """Of a dataset without pictures, where that does not keep its own."""
     device: str = "auto"
-    """Where pictures are drawn: on the CPU alone if "cpu", else on CUDA where that works, all of whose devices share the workers."""
+    """Where missing light fields are measured: on the CPU if "cpu", else on CUDA where that works. Pictures are drawn on the CPU."""
 
 
 PLAIN = Reading()
@@ -188,8 +186,7 @@ def archive(dataset: Dataset, indices: Sequence[int], inputs: InputConfig, readi
     shape = (int(begins[-1]), *inputs.picture, 3)
     if reading.cache is None:
         pictures = np.empty(shape, np.uint16)
-        light, _ = _light(dataset, rows, reading)
-        arrays = _Reader(dataset, rows, begins, inputs, pictures, light)(tuple(range(len(rows))))
+        arrays = _Reader(dataset, rows, begins, inputs, pictures, _drawn_by(dataset, rows, reading))(tuple(range(len(rows))))
     else:
         pictures, arrays = _cached(dataset, begins, shape, inputs, reading)
     where = {row["index"]: number for number, row in enumerate(rows)}
@@ -236,7 +233,7 @@ def _mapped(home: Path) -> tuple[NDArray[np.uint16], dict[str, NDArray[Any]]] | 
 def _fill(home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[int, ...], inputs: InputConfig, reading: Reading) -> None:
     """Fills a cache, or what a run that died left of it: pictures into one file, the rest a handful a file until all are there."""
     rows = dataset.rows
-    light, gpus = _light(dataset, rows, reading)  # before there is anything to leave behind
+    plan = _drawn_by(dataset, rows, reading)  # before there is anything to leave behind
     shutil.rmtree(home, ignore_errors=True)  # damaged
     partial = home.with_suffix(".partial")
     partial.mkdir(exist_ok=True)
@@ -254,18 +251,17 @@ def _fill(home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[i
         with whole_file(files[handful]) as path, path.open("wb") as file:
             np.savez(file, allow_pickle=False, **part)
         if reading.progress:
-            reading.progress("reading presses" if light is None else "drawing presses", sum(map(len, found)), len(rows))
+            reading.progress("reading presses" if plan is None else "drawing presses", sum(map(len, found)), len(rows))
 
     left = [handful for handful in handfuls if handful not in found]
     if reading.workers < 2:
-        read = _Reader(dataset, rows, begins, inputs, pictures, light)
+        read = _Reader(dataset, rows, begins, inputs, pictures, plan)
         for handful in left:
             told(handful, read(handful))
     else:
         # Fresh processes of one core each: they load neither torch nor what this one has in memory.
-        arguments = (dataset.folder, inputs, target, light)
-        crew, seconds = LocalCrew(reading.workers, gpus=gpus), DRAWING_SECONDS if gpus else SECONDS
-        for handful, part in work_through(left, crew, _make_worker, arguments, _lost, still=bool(gpus), seconds=seconds):
+        arguments = (dataset.folder, inputs, target, plan)
+        for handful, part in work_through(left, LocalCrew(reading.workers), _make_worker, arguments, _lost):
             if isinstance(part, str):
                 raise DatasetError(part)
             told(handful, part)
@@ -286,23 +282,13 @@ def _load(path: Path) -> dict[str, NDArray[Any]] | None:
         return None
 
 
-@dataclass(frozen=True)
-class _Light:
-    """How episodes without pictures are drawn: what `gelsim.generate.darkroom.prepare` found."""
-
-    plan: str
-    device: str
-
-
-def _light(dataset: Dataset, rows: list[dict[str, Any]], reading: Reading) -> tuple[_Light | None, list[str]]:
-    """None where there is nothing to draw; and the CUDA devices that workers share."""
+def _drawn_by(dataset: Dataset, rows: list[dict[str, Any]], reading: Reading) -> str | None:
+    """The plan by which pictures are drawn (`gelsim.generate.darkroom.prepare`); None where there is nothing to draw."""
     if all(map(lit, rows)):
-        return None, []
+        return None
     from gelsim.generate.darkroom import prepare
 
-    # A learner on CUDA is content with light from the CPU where there is no way to draw on CUDA.
-    name, found, gpus = prepare(dataset, reading.plan, "cpu" if reading.device == "cpu" else "auto", reading.progress)
-    return _Light(name, found), gpus
+    return prepare(dataset, reading.plan, "cpu" if reading.device == "cpu" else "auto", reading.progress)
 
 
 def _handfuls(rows: list[dict[str, Any]]) -> list[Handful]:
@@ -322,13 +308,13 @@ class _Reader:
 
     def __init__(
         self, dataset: Dataset, rows: list[dict[str, Any]], begins: NDArray[np.int_], inputs: InputConfig, pictures: NDArray[np.uint16],
-        light: _Light | None,
+        plan: str | None,
     ) -> None:  # fmt: skip
         self._dataset, self._rows, self._begins, self._inputs, self._pictures = dataset, rows, begins, inputs, pictures
-        if light is not None:
+        if plan is not None:
             from gelsim.generate.darkroom import Darkroom
 
-            self._darkroom = Darkroom(dataset.folder, light.plan, light.device, inputs.picture)
+            self._darkroom = Darkroom(dataset.folder, plan, inputs.picture)
 
     def __call__(self, numbers: Handful) -> dict[str, NDArray[Any]]:
         signals, features, noises = [], [], []
@@ -359,11 +345,11 @@ def _join(parts: Sequence[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
 
 
 def _make_worker(
-    folder: Path, inputs: InputConfig, target: Path, light: _Light | None
+    folder: Path, inputs: InputConfig, target: Path, plan: str | None
 ) -> Callable[[Handful], tuple[Handful, dict[str, NDArray[Any]] | str]]:
     dataset = load_dataset(folder)
     begins = np.cumsum([0] + [1 + row["frames"] for row in dataset.rows])
-    read = _Reader(dataset, dataset.rows, begins, inputs, np.load(target, mmap_mode="r+", allow_pickle=False), light)
+    read = _Reader(dataset, dataset.rows, begins, inputs, np.load(target, mmap_mode="r+", allow_pickle=False), plan)
 
     def work(handful: Handful) -> tuple[Handful, dict[str, NDArray[Any]] | str]:
         try:

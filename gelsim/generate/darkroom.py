@@ -8,7 +8,6 @@ a sample a pixel misses of light that varies within it (docs/learner.md, *On a G
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 
 from gelsim.data.episodes import Dataset, load_dataset
@@ -16,7 +15,7 @@ from gelsim.errors import SceneError
 from gelsim.generate.light import Studio
 from gelsim.generate.plan import Catalogue
 from gelsim.generate.relight import own_catalogue, plan_of, relit_episode
-from gelsim.generate.run import Progress, gpus_of, kept_plan, measure_lights, sensors_of
+from gelsim.generate.run import Progress, kept_plan, measure_lights, sensors_of
 from gelsim.results import Episode
 
 FINER = 2
@@ -26,39 +25,34 @@ SPACING = 0.12e-3
 levels rms from what pictures of 320 × 240 at 0.08 mm give; with 0.08 mm by 0.75, with 0.16 by 0.82."""
 
 
-def prepare(data: Dataset, plan: str | None, device: str, progress: Progress | None) -> tuple[str, str, list[str]]:
+def prepare(data: Dataset, plan: str | None, device: str, progress: Progress | None) -> str:
     """Before workers draw: finds the plan and measures the light fields that are missing, all cores at it.
 
     Args:
         plan: Of a dataset that does not keep its own (an older one).
-        device: "auto" takes CUDA where it works; "cpu" never; "cuda" insists on it.
+        device: Where fields are measured: "auto" takes CUDA where it works; "cpu" never.
     Returns:
-        What the plan is found by, "cpu" or "cuda", and the CUDA devices to spread workers over.
+        What the plan is found by.
     Raises:
         SceneError: The plan cannot be found, or is not the one that the dataset was made from.
     """
-    from gelsim import optics
-
     name = plan if plan and not kept_plan(data.folder).is_file() else plan_of(data)
     catalogue = own_catalogue(data, name)
     if catalogue.plan.mode != "baked":
         raise SceneError(f"{data.folder}: its plan traces pictures (mode {catalogue.plan.mode!r}); gelsim dataset --light-of draws those")
-    if device == "auto":
-        hidden = os.environ.get("CUDA_VISIBLE_DEVICES") == ""
-        device = "cuda" if not hidden and optics.choose_variant("auto").name.startswith("cuda") else "cpu"
     seen = sensors_of(catalogue, dict.fromkeys(int(row["mechanics"]) for row in data.rows))
     measure_lights([catalogue.sensor_scene(number) for number in seen], device, progress)
-    return name, device, gpus_of(device)
+    return name
 
 
 class Darkroom:
     """Draws episodes of a dataset that has none of their pictures."""
 
-    def __init__(self, folder: Path, plan: str, device: str, picture: tuple[int, int]) -> None:
+    def __init__(self, folder: Path, plan: str, picture: tuple[int, int]) -> None:
         """With what `prepare` gave; `picture`: rows and columns that will be made of the pictures."""
         self._data = load_dataset(folder)
         self._catalogue: Catalogue = own_catalogue(self._data, plan)
-        self._studio = Studio(device, SPACING)
+        self._studio = Studio("cpu", SPACING)
         self._drawn = small(self._catalogue.plan.resolution, picture)
 
     @property

@@ -146,7 +146,7 @@ def test_processes_draw_what_one_draws_and_a_full_cache_draws_nothing(
     for number in range(len(drawn)):
         np.testing.assert_array_equal(drawn.stored(number), shared.stored(number))
         np.testing.assert_array_equal(drawn.features[number], shared.features[number])
-    monkeypatch.setattr(recordings, "_light", None)  # no plan is read, nothing is drawn
+    monkeypatch.setattr(recordings, "_drawn_by", None)  # no plan is read, nothing is drawn
     np.testing.assert_array_equal(read(datasets[0], tmp_path).stored(0), drawn.stored(0))
     assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 1
 
