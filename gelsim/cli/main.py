@@ -258,7 +258,7 @@ def _parser() -> Parser:
     dataset.add_argument("--ray", metavar="ADDRESS", help="instead of processes here: a Ray cluster, host:port, auto or local")
     dataset.add_argument("--resume", action="store_true", help="go on in an existing folder: episodes that are done are kept")
     dataset.add_argument(
-        "--device", choices=("cpu", "cuda"), default="cpu", help="where presses are solved and light is drawn (default: cpu)"
+        "--device", choices=("cpu", "cuda"), default="cpu", help="where presses are solved and light is measured or traced (default: cpu)"
     )
     _add_output_flags(dataset, _dataset)
     study = commands.add_parser("study", help="what would another sensor see? a sweep over scene fields", epilog=STUDY_EXAMPLES)

@@ -488,6 +488,7 @@ STICKY = build_scene({
     [
         ("box", True, "balanced", 12), ("box", True, "reference", 12), ("box", True, "fast", 24), ("hemisphere", True, "balanced", 6),
         ("flat", True, "balanced", 6), ("hemisphere", False, "fast", 48), ("hemisphere", True, "fast", 24), ("box", False, "balanced", 6),
+        ("box", False, "fast", 96), ("flat", False, "fast", 48),
     ],
 )  # fmt: skip
 def test_contact_points_are_more_where_faces_let_each_other_through(shape: str, rigid: bool, fidelity: str, points: int) -> None:
