@@ -301,13 +301,30 @@ class SurfaceContact:
         self._launch(surface_gaps, x, self.own, self._tree.id, self.master, self.corners, self.beside, reach, *pairing)
 
     def overlap(self, x: wp.array) -> float:
-        """The largest overlap [mm] anywhere on the slave's faces for positions x: also between the points, where nothing opposes it."""
+        """The largest overlap [mm] anywhere on the slave's faces for positions x: also between the points, where nothing opposes it.
+
+        That is how far a place is from the plane that touches the object where it looks: of a convex object never less than its depth.
+        """
         steps = np.arange(SEEN + 1)
         first, second = (grid.ravel() for grid in np.meshgrid(steps, steps))
         on = first + second <= SEEN
         seen = self._seen_at(np.stack([SEEN - first - second, first, second], axis=1)[on] / SEEN)
         seen.update(x, LOOKED_MM)
-        return max(0.0, -float(seen.gap.numpy().min()))
+        gap = seen.gap.numpy()
+        inside = np.flatnonzero(gap < 0.0)
+        return float((-gap[inside] * seen._facing_each_other(x, inside)).max(initial=0.0))
+
+    def _facing_each_other(self, x: wp.array, points: NDArray[np.integer]) -> Array:
+        """Cosine of the angle between the two surfaces' normals where points look: what of a gap along the slave's is distance."""
+        nodes = x.numpy()[self.master_faces[self.face.numpy()[points]]]
+        normal = self._master_normals(self.place.numpy()[points], nodes)
+        return np.abs((normal * self.normal.numpy()[points]).sum(axis=1))
+
+    def _master_normals(self, place: Array, nodes: Array) -> Array:
+        """Of its faces with nodes (K, 6, 3) at places (K, 3), ξ and a 0."""
+        first, second = np.einsum("knd,knc->dkc", tri6_gradient(np.column_stack([1 - place.sum(1), place[:, :2]])), nodes)
+        across = np.cross(first, second)
+        return across / np.linalg.norm(across, axis=1, keepdims=True)
 
     def _seen_at(self, bary: Array) -> SurfaceContact:
         """The same surfaces with other points on the slave's faces (Q, 3), for `update` alone."""
@@ -619,6 +636,10 @@ class RigidContact(SurfaceContact):
 
     def _master_shape(self, place: Array) -> Array:
         return body_shares(place)
+
+    def _facing_each_other(self, x: wp.array, points: NDArray[np.integer]) -> Array:
+        """Gaps are distances."""
+        return np.ones(len(points))
 
     def update(self, x: wp.array, reach: float) -> None:
         """Gaps of all points that lie on the field's grid, whatever `reach`."""

@@ -80,7 +80,7 @@ def test_overlap_is_seen_between_the_points() -> None:
 def test_overlap_of_a_soft_object_is_seen_between_the_points() -> None:
     """A bulge of a face, highest at a side's middle, where the six points see four fifths of it, and a plane at nine tenths.
 
-    The bulge is b x y: at its top the face's normal, along which a gap is told, leans by tan⁻¹(√2 b).
+    The bulge is b x y: at its top the face's normal, along which a gap is told, leans by tan⁻¹(√2 b); the overlap is the plane's distance.
     """
     bulge = 0.05
     x = np.vstack([FACE, 4 * FACE[[0, 2, 1, 5, 4, 3]] + [-2.0, -2.0, 0.9 * bulge]])
@@ -88,8 +88,24 @@ def test_overlap_of_a_soft_object_is_seen_between_the_points() -> None:
     contact = SurfaceContact(ONE, ONE + 6, x, LAW, "cpu")
     positions = wp.array(x, dtype=wp.vec3d, device="cpu")
     contact.update(positions, 1.0)
-    assert contact.overlap(positions) == pytest.approx(0.1 * bulge * np.sqrt(1 + 2 * bulge**2), rel=1e-9)
+    assert contact.overlap(positions) == pytest.approx(0.1 * bulge, rel=1e-9)
     assert float(contact.gap.numpy().min()) > 0.0  # the planted fault: only at the points
+
+
+@pytest.mark.parametrize("profile", [False, True])
+def test_overlap_is_the_distance_to_an_inclined_plane(profile: bool) -> None:
+    """A flat face and a plane inclined by 60°, through it at x = 1.9: its end at 2 is 0.1 sin 60° inside. Planted fault: as far as its own
+    normal tells, 0.1 tan 60°."""
+    way = np.array([np.cos(np.radians(60)), 0.0, -np.sin(np.radians(60))])  # along the plane, down over the face
+    if profile:
+        x = np.vstack([np.array([[2, 0, 0], [0, 0, 0], [1, 0, 0]], float), [1.9, 0.0, 0.0] + np.outer([-4, 4, 0], way)])
+        contact = EdgeContact(np.array([[1, 0, 2]], np.int32), np.array([[3, 4, 5]], np.int32), x, LAW, False)
+    else:
+        x = np.vstack([FACE, [1.9, 0.0, 0.0] + (4 * FACE[[0, 2, 1, 5, 4, 3], :2] - 2) @ np.array([way, [0.0, 1.0, 0.0]])])
+        contact = SurfaceContact(ONE, ONE + 6, x, LAW, "cpu")
+    positions = wp.array(x, dtype=wp.vec3d, device="cpu")
+    contact.update(positions, 1.0)
+    assert contact.overlap(positions) == pytest.approx(0.1 * np.sin(np.radians(60)), rel=1e-6)
 
 
 @pytest.mark.parametrize(("points", "least", "most"), [(SOFT_POINTS, 0.0, 20e-6), (EDGE_POINTS, 50e-6, np.inf)])

@@ -109,6 +109,10 @@ class EdgeContact(SurfaceContact):
     def _master_shape(self, xi: Array) -> Array:
         return edge_shape(xi[:, 0])
 
+    def _master_normals(self, place: Array, nodes: Array) -> Array:
+        along = np.einsum("kn,knc->kc", edge_gradient(place[:, 0]), nodes)
+        return along[:, [2, 1, 0]] * [1.0, 0.0, -1.0] / np.linalg.norm(along, axis=1, keepdims=True)
+
     # ------------------------------------------------------------------------------------------------------------ closest points
     def update(self, x: wp.array, reach: float) -> None:
         flat = x.numpy()[:, [0, 2]]
