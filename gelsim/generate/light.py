@@ -8,7 +8,7 @@ and markers come after the field anyway.
 In the modes "path" and "direct" every episode is traced with its own lights; that takes long, and needs no field.
 
 Fields are measured, and pictures traced, where they are asked to be; from a field pictures are drawn on CPU cores alone: one core draws a
-press of 25 in a second, sixteen processes that shared an H200 drew 2.5 presses a second, two of them six.
+press of 25 in half a second, sixteen processes that shared an H200 drew 2.5 presses a second, two of them six.
 """
 
 from __future__ import annotations
