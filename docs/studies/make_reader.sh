@@ -3,13 +3,12 @@
 #
 #     bash docs/studies/make_reader.sh OUT [SECONDS=1600]
 #
-# A few presses are made and drawn first, by two processes, which compile what all then find compiled. Presses of plan `varied` are made until
-# 0.3 of the time, while the light fields of all sensors are measured; then test presses, unless they are there: paper2017's rows in about
-# equal shares, with some natural objects, of two seeds with twelve sensors each. What is trained on is drawn into a cache. Then `paper2017`,
-# `varied` and, with the pictures changed more, `families` are trained on, side by side, 40 times through it or as often as the time left
-# allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where there is a third GPU, and the
-# networks of before read the tests; at last the new ones do, each and all together, and what counts as unlike is read from `gap`. OUT/log
-# tells where it is, OUT/runs has networks and tables. Called again it goes on with what is there.
+# Presses of plan `varied` are made until 0.3 of the time, while the light fields of all sensors are measured; then test presses, unless they
+# are there: paper2017's rows in about equal shares, with some natural objects, of two seeds with twelve sensors each. What is trained on is
+# drawn into a cache. Then `paper2017`, `varied` and, with the pictures changed more, `families` are trained on, side by side, 40 times through
+# it or as often as the time left allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where there
+# is a third GPU, and the networks of before read the tests; at last the new ones do, each and all together, and what counts as unlike is read
+# from `gap`. OUT/log tells where it is, OUT/runs has networks and tables. Called again it goes on with what is there.
 # On four H200 with 64 cores: 5.2 presses a second, 13 steps of 64 videos (`families` 7).
 # Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes), RATE (steps a second
 # that are counted on), STEPS, DEVICE (cpu: a trial).
@@ -54,13 +53,6 @@ sensor = Catalogue(load_plan('$1'), $2).sensor_scene($3)
 is_measured(sensor) or Studio('$device').field(sensor)"
 }
 export -f field
-draw() {  # NAME DATA WORKERS UNTIL
-    log "pictures_$1" until_ "$4" python3 -m learn.cli train --data "$2" --picture 144,192 --widths 48,96,192,320 --cache "$cache" --steps 1 \
-        --batch 2 --warmup 0 --workers "$3" --out "$runs/pictures_$1" --force
-    say "$1 drawn"
-}
-presses first varied "$seed" 8 20 --test-episodes 0 --device "$device" --workers 2
-draw first "$data/first" 2 20
 [ "$gpus" = 0 ] || for pool in "varied $seed" $(for s in $test_seeds; do echo "$rows,$s"; done); do  # a trial measures those it needs, later
     pool=${pool/,/ }
     python3 -c "from gelsim.generate.plan import load_plan; print(*range(load_plan('${pool% *}').sensors), sep='\n')" | sed "s|^|$pool |"
@@ -71,7 +63,10 @@ wait; say "light fields measured"
     presses "tests_$s" "$rows" "$s" "${TESTS:-1080}" 43 --train-episodes 0 --device "$device" --workers $(( gpus ? cores : cores / 2 + 1 )) &
 done
 wait
-draw varied "$data/varied" "$cores" 78
+
+log pictures until_ 78 python3 -m learn.cli train --data "$data/varied" --picture 144,192 --widths 48,96,192,320 --cache "$cache" --steps 1 \
+    --batch 2 --warmup 0 --workers "$cores" --out "$runs/pictures" --force
+say "drawn"
 
 read_rows() {  # NAME GPU MODEL...
     local s models=(); for s in "${@:3}"; do models+=(--model "$s"); done
@@ -86,7 +81,7 @@ steps=${STEPS:-$(( passes < allowed ? passes : allowed ))}; say "trainings of $s
 train() {  # NAME GPU SETTINGS
     log "train_$1" on "$2" until_ 92 python3 -m learn.cli train --data "$data/varied" --init "$1" --out "$runs/$1" --force --cache "$cache" \
         --batch "${BATCH:-64}" --rate 0.001 --warmup 150 --end-share 0.6 --drop 0.05 --gain 0.12 --gamma 0.1 --crop 0.08 --steps "$steps" \
-        --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers 2) "${@:3}"
+        --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers "$cores") "${@:3}"
     say "$1 trained"
 }
 train paper2017 0 & trainings=($!)

@@ -172,6 +172,8 @@ class SurfaceContact:
     """Way of a point [mm] beyond which the normal there says nothing of where it came from: of an exact step at most."""
     CORNERS = 3
     """Vertices of a face; its other nodes are in the middle of its sides."""
+    OBLIQUE = True
+    """Whether gaps are told along the slave's normals; else they are distances."""
     STATE = _STATE
 
     def __init__(self, slave_faces: NDArray[np.int32], master_faces: NDArray[np.int32], rest: Array, law: ContactLaw, device: str,
@@ -283,7 +285,7 @@ class SurfaceContact:
 
     def _master_shape(self, place: Array) -> Array:
         """How much the six nodes of the master's faces move places (K, 3), ξ and a 0."""
-        return tri6_shape(np.column_stack([1 - place.sum(1), place[:, :2]]))
+        return tri6_shape(_barycentric(place))
 
     def _launch(self, kernel: wp.Kernel, *inputs: object) -> None:
         """One thread a quadrature point; every kernel begins with the slave's faces and their shape functions."""
@@ -303,7 +305,8 @@ class SurfaceContact:
     def overlap(self, x: wp.array) -> float:
         """The largest overlap [mm] anywhere on the slave's faces for positions x: also between the points, where nothing opposes it.
 
-        That is how far a place is from the plane that touches the object where it looks: of a convex object never less than its depth.
+        Where gaps are told along the slave's normals it is the distance to the plane that touches the object where these meet it: of a
+        convex object never less than the depth.
         """
         steps = np.arange(SEEN + 1)
         first, second = (grid.ravel() for grid in np.meshgrid(steps, steps))
@@ -312,19 +315,14 @@ class SurfaceContact:
         seen.update(x, LOOKED_MM)
         gap = seen.gap.numpy()
         inside = np.flatnonzero(gap < 0.0)
-        return float((-gap[inside] * seen._facing_each_other(x, inside)).max(initial=0.0))
+        return float((-gap[inside] * (seen._cosines(x, inside) if self.OBLIQUE else 1.0)).max(initial=0.0))
 
-    def _facing_each_other(self, x: wp.array, points: NDArray[np.integer]) -> Array:
-        """Cosine of the angle between the two surfaces' normals where points look: what of a gap along the slave's is distance."""
+    def _cosines(self, x: wp.array, points: NDArray[np.integer]) -> Array:
+        """Of the angle between the two surfaces' normals where points look."""
         nodes = x.numpy()[self.master_faces[self.face.numpy()[points]]]
-        normal = self._master_normals(self.place.numpy()[points], nodes)
-        return np.abs((normal * self.normal.numpy()[points]).sum(axis=1))
-
-    def _master_normals(self, place: Array, nodes: Array) -> Array:
-        """Of its faces with nodes (K, 6, 3) at places (K, 3), ξ and a 0."""
-        first, second = np.einsum("knd,knc->dkc", tri6_gradient(np.column_stack([1 - place.sum(1), place[:, :2]])), nodes)
+        first, second = np.einsum("knd,knc->dkc", tri6_gradient(_barycentric(self.place.numpy()[points])), nodes)
         across = np.cross(first, second)
-        return across / np.linalg.norm(across, axis=1, keepdims=True)
+        return np.abs((across * self.normal.numpy()[points]).sum(axis=1)) / np.linalg.norm(across, axis=1)
 
     def _seen_at(self, bary: Array) -> SurfaceContact:
         """The same surfaces with other points on the slave's faces (Q, 3), for `update` alone."""
@@ -612,6 +610,7 @@ class RigidContact(SurfaceContact):
     is counted in them.
     """
 
+    OBLIQUE = False
     STATE = (*_STATE, "bend")
     SIDE = 10.0
     """[mm]"""
@@ -637,14 +636,15 @@ class RigidContact(SurfaceContact):
     def _master_shape(self, place: Array) -> Array:
         return body_shares(place)
 
-    def _facing_each_other(self, x: wp.array, points: NDArray[np.integer]) -> Array:
-        """Gaps are distances."""
-        return np.ones(len(points))
-
     def update(self, x: wp.array, reach: float) -> None:
         """Gaps of all points that lie on the field's grid, whatever `reach`."""
         pairing = [self.face, self.place, self.normal, self.gap, self.bend]
         self._launch(field_gaps, x, self.master, self.field, wp.float64(self.SIDE), *pairing)
+
+
+def _barycentric(place: Array) -> Array:
+    """Barycentric coordinates (K, 3) of places (K, 3), ξ and a 0."""
+    return np.column_stack([1 - place.sum(1), place[:, :2]])
 
 
 def body_shares(place: Array) -> Array:

@@ -23,7 +23,7 @@ RIGID_POINTS, SOFT_POINTS, SHARP_POINTS = 24, 48, 96
 iterations; four loops of a ball's friction are 7.8, 11.6, 5.9, 3.8 % RMS off those of `balanced`. Soft objects' faces may be shorter than
 the gel's, so that a middle of their sides pokes through between its points: of a hundred random scenes (`docs/studies/random_scenes.py
 --seeds 4001 --scenes 100`) 74, 88, 96 % overlap by at most 20 µm with 12, 24, 48, in as many iterations. Where edges of soft objects touch
-(SHARP_POINTS) more pokes through: of 26 scenes that overlapped by over 20 µm with 48, 18 do not with 96, in 18 % more processor time."""
+(SHARP_POINTS) more pokes through: of 26 scenes above 20 µm with 48, 18 are below with 96; 45 others take 18 % more processor time."""
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ class EdgeContact(SurfaceContact):
     """`SurfaceContact` of edges (S, 3) in the plane y = 0: its methods and its state. Forces are per radian or per millimetre of depth."""
 
     CORNERS = 2
+    OBLIQUE = False
 
     def __init__(self, gel_edges: NDArray[np.int32], object_edges: NDArray[np.int32], rest: Array, law: ContactLaw, turned: bool,
                  points: int = 4) -> None:  # fmt: skip
@@ -108,10 +109,6 @@ class EdgeContact(SurfaceContact):
 
     def _master_shape(self, xi: Array) -> Array:
         return edge_shape(xi[:, 0])
-
-    def _master_normals(self, place: Array, nodes: Array) -> Array:
-        along = np.einsum("kn,knc->kc", edge_gradient(place[:, 0]), nodes)
-        return along[:, [2, 1, 0]] * [1.0, 0.0, -1.0] / np.linalg.norm(along, axis=1, keepdims=True)
 
     # ------------------------------------------------------------------------------------------------------------ closest points
     def update(self, x: wp.array, reach: float) -> None:
