@@ -261,7 +261,7 @@ def _fill(home: Path, dataset: Dataset, begins: NDArray[np.int_], shape: tuple[i
     else:
         # Fresh processes of one core each: they load neither torch nor what this one has in memory.
         arguments = (dataset.folder, inputs, target, plan)
-        for handful, part in work_through(left, LocalCrew(reading.workers), _make_worker, arguments, _lost):
+        for handful, part in work_through(left, LocalCrew(reading.workers, gpus=()), _make_worker, arguments, _lost):
             if isinstance(part, str):
                 raise DatasetError(part)
             told(handful, part)

@@ -155,7 +155,7 @@ def make_counting(*_: object):
 
 
 def make_seeing(*_: object):
-    return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"], "share": os.environ[workers.MPS_SHARE]}, {})])
+    return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"], "share": os.environ.get(workers.MPS_SHARE)}, {})])
 
 
 def make_still_born(how: str):
@@ -216,6 +216,13 @@ def test_gpus_are_given_in_turn_and_shared(said: str | None, share: str, monkeyp
         monkeypatch.setenv(workers.MPS_SHARE, said)
     done = [item.rows[0][0] for item in work_through([(n,) for n in range(3)], LocalCrew(3, gpus=("0", "7")), make_seeing, (), lost)]
     assert {item["sees"] for item in done} <= {"0", "7"} and {item["share"] for item in done} == {share}
+
+
+@pytest.mark.parametrize(("gpus", "seen"), [((), ""), (None, "3")])
+def test_workers_without_gpus_see_none(gpus: tuple[str, ...] | None, seen: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3")
+    (done,) = work_through([(0,)], LocalCrew(1, gpus=gpus), make_seeing, (), lost)
+    assert done.rows[0][0]["sees"] == seen
 
 
 @pytest.mark.parametrize(
