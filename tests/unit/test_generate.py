@@ -155,7 +155,9 @@ def make_counting(*_: object):
 
 
 def make_seeing(*_: object):
-    return lambda handful: Done(handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"], "share": os.environ.get(workers.MPS_SHARE)}, {})])
+    return lambda handful: Done(
+        handful, rows=[({"sees": os.environ["CUDA_VISIBLE_DEVICES"], "share": os.environ.get(workers.MPS_SHARE)}, {})]
+    )
 
 
 def make_still_born(how: str):
