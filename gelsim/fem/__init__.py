@@ -66,8 +66,8 @@ def solve_press(
     """Solves a press; one that ends where no equilibrium is found is tried again (`strategy.WAYS`); the one that got furthest is returned.
 
     The second try goes on from where the first stands, with twelve contact points a face at least and volume held at points too; where that
-    does not get there soon, the third begins so at rest. Its report says so. Volume held at points keeps crushed tets from folding, and
-    makes a press at `fast` a few per cent stiffer (docs/mechanics.md).
+    does not get there soon, the third begins so at rest. Volume held at points keeps crushed tets from folding, and makes a press at `fast`
+    a few per cent stiffer (docs/mechanics.md). What overlaps is solved again with more points. The press's report says so.
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.

@@ -45,8 +45,8 @@ def tet_quadrature(points: int) -> tuple[Array, Array]:
 
 
 def triangle_quadrature(points: int) -> tuple[Array, Array]:
-    """Barycentric points (Q, 3) and weights (Q,), which sum to 1/2. 6: degree 4; 12: 6 (Dunavant 1985); 24, 48, 96: so in each quarter."""
-    if points in (24, 48, 96):
+    """Barycentric points (Q, 3) and weights (Q,), which sum to 1/2. 6: degree 4; 12: 6 (Dunavant 1985); 24 to 192: so in each quarter."""
+    if points in (24, 48, 96, 192):
         bary, weights = triangle_quadrature(points // 4)
         corners = np.eye(3)
         middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
@@ -70,7 +70,7 @@ def triangle_quadrature(points: int) -> tuple[Array, Array]:
         bary = orbit3(0.501426509658179) + orbit3(0.873821971016996) + orbit6(0.053145049844817, 0.310352451033784)
         weights = [0.116786275726379] * 3 + [0.050844906370207] * 3 + [0.082851075618374] * 6
     else:
-        raise ValueError(f"triangle quadrature with {points} points is not known; 6, 12, 24, 48 and 96 are")
+        raise ValueError(f"triangle quadrature with {points} points is not known; 6, 12, 24, 48, 96 and 192 are")
     return np.array(bary), np.array(weights) / 2
 
 

@@ -770,6 +770,33 @@ def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(d
     assert end.value.value.report.ended_by is PressEnd.FORCE
 
 
+@pytest.mark.parametrize(
+    ("first_um", "second_um", "halved", "kept_um"), [(30, 12, 0, 12), (30, 40, 0, 30), (19, None, 0, 19), (30, None, 1, 30)]
+)
+def test_a_press_that_overlaps_has_twice_the_points_and_the_closer_of_both_is_kept(
+    first_um: float, second_um: float | None, halved: int, kept_um: float, deformation: Deformation
+) -> None:
+    """One that overlaps little, or came to its end with trouble, is left as it is."""
+
+    def press(micrometres: float, **report: int) -> Deformation:
+        overlap = np.full_like(deformation.penetration, micrometres * 1e-6)
+        return replace(deformation, penetration=overlap, report=SolveReport(ended_by=PressEnd.DEPTH, **report))
+
+    tries = strategy.tries(points=24)
+    next(tries)
+    given = [press(first_um, steps_halved=halved)]
+    if second_um is not None:
+        way, course = tries.send(given.pop())
+        assert (way.contact_points, way.goes_on, way.held) == (48, False, 0.0)
+        assert course.found is not None and course.found[0] == deformation.approach[-1]
+        given = [press(second_um)]
+    with pytest.raises(StopIteration) as end:
+        tries.send(given.pop())
+    kept = end.value.value
+    assert np.isclose(kept.penetration.max(), kept_um * 1e-6)
+    assert kept.report.contact_points == (48 if kept_um == second_um else 24)
+
+
 def test_each_mesh_is_another_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     def mesh_object(*_: object, drawn_before: int) -> None:
         raise _Asked(drawn_before)
