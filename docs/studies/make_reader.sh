@@ -9,7 +9,8 @@
 # it or as often as the time left allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where there
 # is a third GPU, and the networks of before read the tests; at last the new ones do, each and all together, and what counts as unlike is read
 # from `gap`. OUT/log tells where it is, OUT/runs has networks and tables. Called again it goes on with what is there.
-# On four H200 with 64 cores: 5.2 presses a second, 13 steps of 64 videos (`families` 7).
+# On four H200 with 64 cores: 5.2 presses a second, 13 steps of 64 videos (`families` 7). On two with 32: 5 presses a second once kernels are
+# compiled (100 s), 22 videos drawn a second, 12 steps (`families` 6).
 # Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes), RATE (steps a second
 # that are counted on), STEPS, DEVICE (cpu: a trial).
 set -u

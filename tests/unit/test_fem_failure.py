@@ -778,9 +778,9 @@ def test_a_press_that_overlaps_has_twice_the_points_and_the_closer_of_both_is_ke
 ) -> None:
     """One that overlaps little, or came to its end with trouble, is left as it is."""
 
-    def press(micrometres: float, **report: int) -> Deformation:
+    def press(micrometres: float, steps_halved: int = 0) -> Deformation:
         overlap = np.full_like(deformation.penetration, micrometres * 1e-6)
-        return replace(deformation, penetration=overlap, report=SolveReport(ended_by=PressEnd.DEPTH, **report))
+        return replace(deformation, penetration=overlap, report=SolveReport(ended_by=PressEnd.DEPTH, steps_halved=steps_halved))
 
     tries = strategy.tries(points=24)
     next(tries)
