@@ -90,8 +90,9 @@ def tries(
         if not press.lost:
             break
     assert best is not None
-    end, overlap, easy = best.report.ended_by, best.penetration.max(), number == 1 and best.report.steps_halved == 0
-    if easy and end is not None and end in (PressEnd.DEPTH, PressEnd.FORCE, PressEnd.PATH) and overlap > CLOSE:
+    end, overlap = best.report.ended_by, best.penetration.max()
+    easy = number == 1 and best.report.steps_halved == 0
+    if easy and overlap > CLOSE and (end is PressEnd.DEPTH or end is PressEnd.FORCE or end is PressEnd.PATH):
         way = replace(ways[0], contact_points=2 * ways[0].contact_points)
         press = _reported((yield way, Course(found=(best.approach[-1], end, ""))), [(way, 0.0)], 2)
         if not press.lost and press.report.ended_by is end and press.penetration.max() < overlap:

@@ -111,8 +111,8 @@ class LocalCrew:
         threads: Of each. What is computed may depend on it in the last digits, so it does not follow from `count`.
         gpus: CUDA devices; each worker sees one of them, and under NVIDIA's MPS has its share of the multiprocessors and no more, unless
             the caller's environment says another: kernels whose blocks wait for each other (cuDSS) stand still for ever where those of
-            several processes each hold a part of the GPU and wait for more. An empty list: workers see no GPU. Of 32 that
-            drew on cores beside two H200 nine had opened both GPUs, and never answered. None: they see what this process does.
+            several processes each hold a part of the GPU and wait for more. An empty list: workers see no GPU. Of 32 that drew on cores
+            beside two H200 nine had opened both GPUs, and never answered. None: they see what this process does.
     """
 
     def __init__(self, count: int, threads: int = 1, gpus: Sequence[str] | None = None) -> None:
