@@ -4,8 +4,9 @@
     python docs/studies/random_scenes.py --seeds 36 --scenes 200 --parts meshes --workers 44 --out parts.jsonl
     python docs/studies/random_scenes.py --scenes 1000 --read random.jsonl
 
-With --parts mesh parts are pressed in their place (`gelsim.bench.mesh_parts`), whose files are written into that folder. One process a
-worker, of one thread each; a line a scene as it ends. Times of many at once are several times those of one alone.
+With --resume scenes that --out holds are not solved again. With --parts mesh parts are pressed in their place
+(`gelsim.bench.mesh_parts`), whose files are written into that folder. One process a worker, of one thread each; a line a scene as it ends.
+Times of many at once are several times those of one alone.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=300)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seconds", type=float, help="what is not done by then is left")
+    parser.add_argument("--resume", action="store_true")
     parser.add_argument("--parts", type=Path, metavar="FOLDER", help="press mesh parts; FOLDER keeps their files")
     into = parser.add_mutually_exclusive_group(required=True)
     into.add_argument("--out", type=Path)
@@ -73,11 +75,14 @@ def main() -> None:
         return
     keys = [(seed, index) for index in range(-(-options.scenes // len(options.seeds))) for seed in options.seeds][: options.scenes]
     rows: list[dict[str, Any]] = []
+    if options.resume and options.out.exists():
+        rows = [json.loads(line) for line in options.out.read_text().splitlines()]
+    done = {(row["seed"], row["index"]) for row in rows}
     with in_environment(settings(1)):
         pool = ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn"))
-        tasks = [pool.submit(measured, *key, options.parts) for key in keys]
+        tasks = [pool.submit(measured, *key, options.parts) for key in keys if key not in done]
         try:
-            with options.out.open("w") as file:
+            with options.out.open("a" if options.resume else "w") as file:
                 for task in as_completed(tasks, options.seconds):
                     rows.append(task.result())
                     file.write(json.dumps(rows[-1], default=str) + "\n")
