@@ -18,20 +18,25 @@ import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, TimeoutError, as_completed
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gelsim.bench import mesh_parts, presses, random_scenes
 from gelsim.bench.random_scenes import as_asked
 from gelsim.errors import GelsimError
+from gelsim.work.ledger import Ledger, Row
 from gelsim.work.workers import in_environment, settings
 
 
-def measured(seed: int, index: int, parts: Path | None = None) -> dict[str, Any]:
+def named(seed: int, index: int) -> str:
+    """The key of a scene's row."""
+    return f"{seed}:{index}"
+
+
+def measured(seed: int, index: int, parts: Path | None = None) -> Row:
     """Row of one scene, or of a mesh part whose file is kept in a folder."""
     scene, begun = (mesh_parts if parts else random_scenes).draw(index, seed), time.perf_counter()
-    row: dict[str, Any] = {"seed": seed, "index": index, "scene": random_scenes.said(scene)}
+    row: Row = {"key": named(seed, index), "seed": seed, "index": index, "scene": random_scenes.said(scene)}
     try:
         row |= presses.measure(mesh_parts.with_file(scene, parts) if parts else scene)
     except (GelsimError, AssertionError) as error:  # a fault of ours is a row, and the others go on
@@ -39,18 +44,20 @@ def measured(seed: int, index: int, parts: Path | None = None) -> dict[str, Any]
     return row | {"wall_s": round(time.perf_counter() - begun, 2)}
 
 
-def summary(rows: list[dict[str, Any]], of: int) -> str:
+def summary(rows: list[Row], of: int) -> str:
     """How many converged as asked, the others by name; overlaps, energy drifts, seconds."""
     solved = [row for row in rows if as_asked(row)]
     others = "; ".join(
-        f"{row['seed']}:{row['index']} {row['scene']}: {row['status']} {row['message']}" for row in rows if row not in solved
+        f"{named(row['seed'], row['index'])} {row['scene']}: {row['status']} {row['message']}" for row in rows if row not in solved
     )
     overlap, drift = (np.abs([row[name] for row in solved]) for name in ("penetration_um", "drift_percent"))
+    rigid = np.array([", rigid," in row["scene"] for row in solved])
     wall = [row["wall_s"] for row in rows]
     tries = Counter(row["tried"] or "profile" for row in solved)
     return (
         f"{len(rows)} of {of} scenes ended, {len(solved)} converged as asked, by try {dict(tries.most_common())}\n"
-        f"overlap at most 20 um in {100 * np.mean(overlap <= 20):.1f} %, the worst {overlap.max():.0f} um\n"
+        f"overlap at most 20 um in {100 * np.mean(overlap <= 20):.1f} %, the worst {overlap.max():.0f} um; of {rigid.sum()} rigid ones "
+        f"in {np.sum(overlap[rigid] <= 20)}\n"
         f"energy drift at most 2 % in {100 * np.mean(drift <= 2):.2f} %, the worst {drift.max():.1f} %\n"
         f"seconds: median {np.median(wall):.1f}, 95 % {np.percentile(wall, 95):.1f}, longest {max(wall):.0f}\n"
         f"others: {others or 'none'}"
@@ -74,24 +81,18 @@ def main() -> None:
         print(summary([json.loads(line) for line in options.read.read_text().splitlines()], options.scenes))
         return
     keys = [(seed, index) for index in range(-(-options.scenes // len(options.seeds))) for seed in options.seeds][: options.scenes]
-    rows: list[dict[str, Any]] = []
-    if options.resume and options.out.exists():
-        rows = [json.loads(line) for line in options.out.read_text().splitlines()]
-    done = {(row["seed"], row["index"]) for row in rows}
+    ledger = Ledger(options.out, resume=options.resume, force=not options.resume)
     with in_environment(settings(1)):
         pool = ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn"))
-        tasks = [pool.submit(measured, *key, options.parts) for key in keys if key not in done]
+        tasks = [pool.submit(measured, *key, options.parts) for key in keys if named(*key) not in ledger.rows]
         try:
-            with options.out.open("a" if options.resume else "w") as file:
-                for task in as_completed(tasks, options.seconds):
-                    rows.append(task.result())
-                    file.write(json.dumps(rows[-1], default=str) + "\n")
-                    file.flush()
+            for task in as_completed(tasks, options.seconds):
+                ledger.add(task.result())
         except TimeoutError:
             for process in multiprocessing.active_children():
                 process.terminate()
         pool.shutdown(wait=False, cancel_futures=True)
-    print(summary(rows, len(keys)))
+    print(summary(list(ledger.rows.values()), len(keys)))
 
 
 if __name__ == "__main__":

@@ -301,9 +301,11 @@ def _remarks(rows: list[Row]) -> str:
         ("depth / thickness", "share"), ("", "what"), ("bound", "bound"), ("within", "within"), ("median", "median"),
         ("90 of 100", "most"), ("worst", "worst"), (f"{TRUTH} off {FINER}: median, worst", "own"),
     )  # fmt: skip
-    lines += table(columns, summary([row for row in live if not row.get("soft")], [row for row in rows if row.get("by") == TRUTH]))
-    if soft := [row for row in live if row.get("soft")]:
-        lines += ["", f"Soft objects ({COMMAND}):", "", *table(columns[:-1], summary(soft, []))]
+    soft, rigid = ([row for row in live if row.get("soft", False) is wanted] for wanted in (True, False))
+    lines += table(columns, summary(rigid, [row for row in rows if row.get("by") == TRUTH]))
+    for title, some in (("Of these the balls", [row for row in rigid if row.get("kind") == "ball"]), ("Soft objects", soft)):
+        if some:
+            lines += ["", f"{title} ({COMMAND}):", "", *table(columns[:-1], summary(some, []))]
     ended = [row["name"] for row in live if "over" not in row]
     lines += ["", f"{len(ended)} of {len(live)} rows have no finite elements: {'; '.join(ended) or 'none'}."]
     loops = [row for row in rows if "work_uj" in row]

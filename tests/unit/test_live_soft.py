@@ -139,7 +139,7 @@ def test_a_press_is_that_of_finite_elements(monkeypatch: pytest.MonkeyPatch) -> 
     own = truth.report.error_estimate
     assert own is not None
     normal, _, high = off(gelsim.press(given), truth)
-    assert normal < force + own.force and high < height + own.membrane_um
+    assert normal < force + own.force and high < min(height, 5.3) + own.membrane_um  # `height` is the worst of all: released, small ones
     made = soft.spring
     monkeypatch.setattr(soft, "spring", lambda *of: no_springs(made(*of)))  # planted: a layer, and no springs
     normal, _, high = off(gelsim.press(given), truth)
