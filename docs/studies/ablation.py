@@ -70,6 +70,7 @@ CONSTANTS: dict[str, tuple[float, float]] = {
     "quasistatic.FOLDED": (0.25, 0.75),
     "quasistatic.OVERLAP_MM": (7.5e-3, 30e-3),
     "quasistatic.SOFT_OVERLAP_MM": (4e-3, 16e-3),
+    "quasistatic.PACE": (50, 200),
     "quasistatic.CUT_MM": (0.05, 0.2),
     "contact.LEFT_MM": (1.5e-3, 6e-3),
     "newton.STALLED": (0.25, 0.75),

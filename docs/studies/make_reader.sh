@@ -8,10 +8,11 @@
 # drawn into a cache. Then `paper2017`, `varied` and, with the pictures changed more, `families` are trained on, side by side, 40 times through
 # it or as often as the time left allows (of 40 times the 28th, 23rd and 37th were the best). Meanwhile rows of plan `gap` are made where there
 # is a third GPU, and the networks of before read the tests; at last the new ones do, each and all together, and what counts as unlike is read
-# from `gap`. OUT/log tells where it is, OUT/runs has networks and tables. Called again it goes on with what is there.
+# from `gap`. OUT/halfway has them averaged with those of before, spread and novelty fitted anew (docs/studies/halfway.py). OUT/log tells where
+# it is, OUT/runs has networks and tables. Called again it goes on with what is there.
 # On four H200 with 64 cores: 5.2 presses a second, 13 steps of 64 videos (`families` 7). On two with 32: 5 presses a second once kernels are
 # compiled (100 s), 22 videos drawn a second, 12 steps (`families` 6).
-# Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes), RATE (steps a second
+# Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes; where they are there none is pressed), RATE (steps a second
 # that are counted on), STEPS, DEVICE (cpu: a trial).
 set -u
 out=$(realpath -m "$1"); all=${2:-1600}; device=${DEVICE:-cuda}; seed=${SEED:-10}; test_seeds=${TEST_SEEDS:-71 72}; most=${MOST:-100000}
@@ -56,9 +57,15 @@ is_measured(sensor) or Studio('$device').field(sensor)"
 export -f field
 [ "$gpus" = 0 ] || for pool in "varied $seed" $(for s in $test_seeds; do echo "$rows,$s"; done); do  # a trial measures those it needs, later
     pool=${pool/,/ }
-    python3 -c "from gelsim.generate.plan import load_plan; print(*range(load_plan('${pool% *}').sensors), sep='\n')" | sed "s|^|$pool |"
-done | xargs -P $(( 2 * gpus )) -L 1 bash -c 'field "$@"' _ >>"$out/log/fields" 2>&1 &
-presses varied varied "$seed" "$most" 30 --test-episodes 0 --device "$device"
+    python3 -c "
+from gelsim.generate.light import is_measured
+from gelsim.generate.plan import Catalogue, load_plan
+plan = load_plan('${pool% *}')
+sensors = Catalogue(plan, ${pool#* })
+print(*(number for number in range(plan.sensors) if not is_measured(sensors.sensor_scene(number))), sep='\n')" | sed "/./s|^|$pool |"
+done | xargs -r -P $(( 4 * gpus )) -L 1 bash -c 'field "$@"' _ >>"$out/log/fields" 2>&1 &
+[ "$(cat "$data/varied/meta/episodes.jsonl" 2>/dev/null | wc -l)" -ge "$most" ] ||
+    presses varied varied "$seed" "$most" 30 --test-episodes 0 --device "$device"
 wait; say "light fields measured"
 [ "${TESTS:-1080}" = 0 ] || for s in $test_seeds; do
     presses "tests_$s" "$rows" "$s" "${TESTS:-1080}" 43 --train-episodes 0 --device "$device" --workers $(( gpus ? cores : cores / 2 + 1 )) &
@@ -84,17 +91,23 @@ train() {  # NAME GPU SETTINGS
         --batch "${BATCH:-64}" --rate 0.001 --warmup 150 --end-share 0.6 --drop 0.05 --gain 0.12 --gamma 0.1 --crop 0.08 --steps "$steps" \
         --validate-every $(( steps / 14 + 1 )) $([ "$gpus" = 0 ] || echo --compile true --workers "$cores") "${@:3}"
     say "$1 trained"
+    local half=$out/halfway/$1 before; before=$(dirname "$0")/../../assets/models/$1.pt; mkdir -p "$half"
+    log "halfway_$1" python3 "$(dirname "$0")/halfway.py" "$before" "$runs/$1/model.pt" "$half/plain.pt"
+    log "halfway_$1" on "$2" python3 -m learn.cli train --data "$data/varied" --init "$half/plain.pt" --rate 1e-9 --warmup 0 --steps 1 \
+        --batch "${BATCH:-64}" --cache "$cache" --out "$half/fit" --force
+    log "halfway_$1" python3 "$(dirname "$0")/halfway.py" "$before" "$runs/$1/model.pt" "$half/model.pt" --fitted "$half/fit/model.pt"
+    say "$1 halfway"
 }
-train paper2017 0 & trainings=($!)
-train varied 1 --seed 1 & trainings+=($!)
-train families 2 --seed 2 --end-share 0.5 --drop 0.1 --gain 0.25 --gamma 0.25 --turn-deg 15 --mix 0.6 --shade 0.5 --border 0.1 \
+train paper2017 1 & trainings=($!)
+train varied 3 --seed 1 & trainings+=($!)
+train families 0 --seed 2 --end-share 0.5 --drop 0.1 --gain 0.25 --gamma 0.25 --turn-deg 15 --mix 0.6 --shade 0.5 --border 0.1 \
     --dirt 0.2 --texture 0.4 --codec-levels 12 --late 0.1 --hide-gel 0.4 & trainings+=($!)
 if [ "$gpus" -gt 2 ]; then
-    log gap on 3 until_ 84 python3 -m gelsim dataset --plan "$out/gap_rows.toml" --seed 71 --episodes 480 --train-episodes 0 --device cuda \
+    log gap on 2 until_ 84 python3 -m gelsim dataset --plan "$out/gap_rows.toml" --seed 71 --episodes 480 --train-episodes 0 --device cuda \
         --out "$data/gap" --workers $(( cores / 5 ))
     say "gap: $(wc -l <"$data/gap/meta/episodes.jsonl") episodes"
 fi
-read_rows before 0 default
+read_rows before 2 default
 wait "${trainings[@]}"
 networks=(paper2017 varied families); readings=()
 for i in 0 1 2; do
