@@ -16,7 +16,7 @@ from learn.checkpoint import load, save
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 for name in ("before", "after", "out"):
     parser.add_argument(name, type=Path)
-parser.add_argument("--fitted", type=Path, help="a checkpoint whose spread factor and novelty distance are taken")
+parser.add_argument("--fitted", type=Path, help="a checkpoint whose spread factor, novelty distance and gels are taken")
 given = parser.parse_args()
 
 before, after = load(given.before), load(given.after)
@@ -25,5 +25,5 @@ weights = {name: 0.5 * (before.network[name].float() + after.network[name].float
 made = replace(after, network=weights)
 if given.fitted:
     fitted = load(given.fitted)
-    made = replace(made, spread_factor=fitted.spread_factor, novelty=fitted.novelty)
+    made = replace(made, spread_factor=fitted.spread_factor, novelty=fitted.novelty, gels=fitted.gels)
 save(given.out, made)

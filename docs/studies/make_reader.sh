@@ -15,6 +15,7 @@
 # Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes; where they are there none is pressed), RATE (steps a second
 # that are counted on), STEPS, DEVICE (cpu: a trial).
 set -u
+unset OMP_NUM_THREADS  # nproc heeds it
 out=$(realpath -m "$1"); all=${2:-1600}; device=${DEVICE:-cuda}; seed=${SEED:-10}; test_seeds=${TEST_SEEDS:-71 72}; most=${MOST:-100000}
 data=$out/data; cache=$out/cache; runs=$out/runs; rows=$out/rows.toml; mkdir -p "$out/log" "$data" "$runs"; SECONDS=0
 gpus=$([ "$device" = cuda ] && ls -d /dev/nvidia[0-9]* | wc -l || echo 0); cores=$(nproc); drawers=$(( cores * 2 / 3 + 1 ))

@@ -11,6 +11,7 @@
 # The machine must have nothing else to do: beside 58 busy cores of 64 nothing was drawn in 24 % of 1,150 s.
 # Called again it goes on with the presses and drawings that are there. Environment: SEED, MOST (presses of a set), STEPS, DEVICE (cpu: a trial).
 set -u
+unset OMP_NUM_THREADS  # nproc heeds it
 out=$(realpath -m "$1"); all=${2:-1500}; device=${DEVICE:-cuda}; seed=${SEED:-11}; most=${MOST:-100000}
 data=$out/data; cache=$out/cache; runs=$out/runs; mkdir -p "$out/log" "$out/plans" "$data" "$runs"; SECONDS=0
 gpus=$([ "$device" = cuda ] && ls -d /dev/nvidia[0-9]* | wc -l || echo 0); cores=${CORES:-$(nproc)}

@@ -19,7 +19,7 @@ from learn.estimate import batches, estimate
 from learn.predict import SHIPPED, find_model, find_models, gel_of_sensor, predict
 from learn.recordings import record_episode
 
-ROW_RMSE = 3.0
+ROW_RMSE = 2.9
 """Of firm presses of trained shapes, novel hardness, seed 75 (`gelsim-learn eval`, docs/learner.md, *What is shipped, in numbers*)."""
 
 
@@ -42,7 +42,7 @@ def test_it_knows_the_gels_of_its_plan(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "untold", "told"), [("paper2017", 40.424, 42.240), ("varied", 43.272, 44.642), ("families", 52.551, 53.435)]
+    ("name", "untold", "told"), [("paper2017", 37.608, 39.565), ("varied", 45.162, 46.462), ("families", 41.017, 43.050)]
 )
 def test_it_reads_as_it_did_when_it_was_trained_and_heeds_the_gel(name: str, untold: float, told: float) -> None:
     """A made-up dent. In a thicker gel, or a softer one, the same picture means a softer object."""
@@ -87,8 +87,8 @@ def test_it_heeds_the_gel_of_a_press(name: str) -> None:
 def test_it_reads_flats_of_hardnesses_that_it_never_saw(tmp_path: Path) -> None:
     """19 and 77 were held out of training. Each within three of the row's errors; planted: either for the other is 58 off.
 
-    At `balanced`, over four meshes, they are 0.71 to 0.78 of the distance that is called strange. At `fast` eight meshes had 0.67 to 0.73
-    and a ninth 1.01: the soft flat's few faces there left lumps of 15 µm in the middle of the gel.
+    At `balanced`, over two meshes, they are 0.29 to 0.47 of the distance that is called strange. At `fast` the soft flat's few faces may leave
+    lumps of 15 µm in the middle of the gel, which looked strange to networks of before.
     """
     said = {}
     for hardness in (19, 77):
