@@ -134,14 +134,18 @@ def approaches(scene: Scene) -> NDArray[np.float64]:
     return np.interp(way.recorded, way.time, way.approach) * MM
 
 
+def kept_at(drawn: Layer, folder: Path, fidelity: str) -> Path:
+    """Where a press is kept in a folder."""
+    key = hashlib.sha256(json.dumps(drawn, sort_keys=True).encode()).hexdigest()[:16]
+    return folder / f"{key}-{fidelity}.npz"
+
+
 def solved(drawn: Layer, folder: Path, fidelity: str) -> Deformation:
     """The press by finite elements, as it was kept in a folder, or solved now and kept there.
 
     A press that ended before is kept as far as it came.
     """
-    scene = built(drawn, folder).replace(fidelity=fidelity)
-    key = hashlib.sha256(json.dumps(drawn, sort_keys=True).encode()).hexdigest()[:16]
-    path = folder / f"{key}-{fidelity}.npz"
+    scene, path = built(drawn, folder).replace(fidelity=fidelity), kept_at(drawn, folder, fidelity)
     if path.exists():
         try:
             return outputs.read_press(path).reporting(**vars(outputs.solve_report(outputs.read_account(path))))

@@ -1,0 +1,64 @@
+"""How far do presses squeeze the gel's surface, and are those lost that squeeze it most?
+
+    python docs/studies/creases.py FOLDER [--press 79 ...] [--fidelity balanced]
+
+A neo-Hookean half space creases where its surface is squeezed to 0.65 of its length, and buckles at any wave length at 0.54 (Hong, Zhao and
+Suo 2009; Biot 1963): the finer the faces, the more ways there are. A real gel's coat, which is not modelled, resists. Presses are the rigid
+ones of live's table (`gelsim.bench.live_presses`) that FOLDER keeps (`gelsim bench --only live --out OUT` keeps them in OUT/kept); those
+named are solved where they are not, and told state by state. Stretches are the lesser in-plane ones of the gel's outer faces,
+by their corners.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from gelsim.bench import live_presses
+from gelsim.results import Deformation
+
+CREASE = 0.65
+
+
+def least_stretches(press: Deformation) -> np.ndarray:
+    """The lesser in-plane stretch of each face of the gel's outer surface, shape (states, faces)."""
+    rest, faces = press.gel.rest, press.gel.faces[:, :3]
+
+    def edges(points: np.ndarray) -> np.ndarray:
+        return np.stack([points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]], axis=2)
+
+    # an orthonormal frame of each face at rest, in which its edges are upper triangular
+    frame, upright = np.linalg.qr(edges(rest))
+    assert frame.shape[1:] == (3, 2)
+    inverse = np.linalg.inv(upright)
+    return np.array([np.linalg.svd(edges(rest + moved) @ inverse, compute_uv=False)[:, 1] for moved in press.gel.displacement])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--press", type=int, nargs="+", default=[], help="numbers; solved where they are not kept")
+    parser.add_argument("--fidelity", default="balanced", choices=("fast", "balanced", "reference"))
+    options = parser.parse_args()
+    found = []
+    for number in options.press or range(live_presses.SOFT):
+        name, drawn = live_presses.draw(number)
+        if not options.press and not live_presses.kept_at(drawn, options.folder, options.fidelity).exists():
+            continue
+        press = live_presses.solved(drawn, options.folder, options.fidelity)
+        stretches = least_stretches(press)
+        if options.press:
+            for approach, of_state in zip(press.approach, stretches, strict=True):
+                print(
+                    f"{number} {name}, {1e3 * approach:.3f} mm: {of_state.min():.2f}, {int((of_state < CREASE).sum())} faces below {CREASE}"
+                )
+        found.append((float(stretches.min()), press.lost, number, name))
+    for least, lost, number, name in sorted(found):
+        print(f"{least:.2f} {'lost  ' if lost else 'solved'} {number} {name}")
+    for creased in (True, False):
+        some = [lost for least, lost, _, _ in found if (least < CREASE) == creased]
+        print(f"{'below' if creased else 'above'} {CREASE}: {sum(some)} of {len(some)} presses are lost")
+
+
+if __name__ == "__main__":
+    main()
