@@ -10,6 +10,7 @@ by their corners.
 """
 
 import argparse
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -55,9 +56,9 @@ def main() -> None:
         found.append((float(stretches.min()), press.lost, number, name))
     for least, lost, number, name in sorted(found):
         print(f"{least:.2f} {'lost  ' if lost else 'solved'} {number} {name}")
-    for creased in (True, False):
-        some = [lost for least, lost, _, _ in found if (least < CREASE) == creased]
-        print(f"{'below' if creased else 'above'} {CREASE}: {sum(some)} of {len(some)} presses are lost")
+    for low, high in pairwise((0.0, 0.1, CREASE, 1.0)):
+        some = [lost for least, lost, _, _ in found if low <= least < high]
+        print(f"squeezed to {low:g} to {high:g}: {sum(some)} of {len(some)} presses are lost")
 
 
 if __name__ == "__main__":
