@@ -5,8 +5,8 @@
 A neo-Hookean half space creases where its surface is squeezed to 0.65 of its length, and buckles at any wave length at 0.54 (Hong, Zhao and
 Suo 2009; Biot 1963): the finer the faces, the more ways there are. A real gel's coat, which is not modelled, resists. Presses are the rigid
 ones of live's table (`gelsim.bench.live_presses`) that FOLDER keeps (`gelsim bench --only live --out OUT` keeps them in OUT/kept); those
-named are solved where they are not, and told state by state. Stretches are the lesser in-plane ones of the gel's outer faces,
-by their corners.
+named are solved where they are not, and told state by state. Stretches are the lesser in-plane ones of the gel's outer faces, by their
+corners.
 """
 
 import argparse
@@ -28,10 +28,7 @@ def least_stretches(press: Deformation) -> np.ndarray:
     def edges(points: np.ndarray) -> np.ndarray:
         return np.stack([points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]], axis=2)
 
-    # an orthonormal frame of each face at rest, in which its edges are upper triangular
-    frame, upright = np.linalg.qr(edges(rest))
-    assert frame.shape[1:] == (3, 2)
-    inverse = np.linalg.inv(upright)
+    inverse = np.linalg.inv(np.linalg.qr(edges(rest), mode="r"))  # of a face's edges at rest, in a frame of its own
     return np.array([np.linalg.svd(edges(rest + moved) @ inverse, compute_uv=False)[:, 1] for moved in press.gel.displacement])
 
 

@@ -12,8 +12,8 @@
 # it is, OUT/runs has networks and tables. Called again it goes on with what is there.
 # On four H200 with 64 cores: 5.2 presses a second, 13 steps of 64 videos (`families` 7). On two with 32: 5 presses a second once kernels are
 # compiled (100 s), 22 videos drawn a second, 12 steps (`families` 6).
-# Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes; where they are there none is pressed), RATE (steps a second
-# that are counted on), STEPS, DEVICE (cpu: a trial).
+# Environment: SEED, TEST_SEEDS, TESTS (episodes that are drawn of, a seed; 0: those that are there), MOST (episodes; where they are there none
+# is pressed), RATE (steps a second that are counted on), STEPS, DEVICE (cpu: a trial).
 set -u
 unset OMP_NUM_THREADS  # nproc heeds it
 out=$(realpath -m "$1"); all=${2:-1600}; device=${DEVICE:-cuda}; seed=${SEED:-10}; test_seeds=${TEST_SEEDS:-71 72}; most=${MOST:-100000}
@@ -50,10 +50,9 @@ presses() {  # NAME PLAN SEED EPISODES UNTIL SETTINGS
 }
 field() {  # PLAN SEED NUMBER
     on "$3" python3 -c "
-from gelsim.generate.light import Studio, is_measured
+from gelsim.generate.light import Studio
 from gelsim.generate.plan import Catalogue, load_plan
-sensor = Catalogue(load_plan('$1'), $2).sensor_scene($3)
-is_measured(sensor) or Studio('$device').field(sensor)"
+Studio('$device').field(Catalogue(load_plan('$1'), $2).sensor_scene($3))"
 }
 export -f field
 [ "$gpus" = 0 ] || for pool in "varied $seed" $(for s in $test_seeds; do echo "$rows,$s"; done); do  # a trial measures those it needs, later

@@ -88,7 +88,7 @@ def test_it_reads_flats_of_hardnesses_that_it_never_saw(tmp_path: Path) -> None:
     """19 and 77 were held out of training. Each within three of the row's errors; planted: either for the other is 58 off.
 
     At `balanced`, over two meshes, they are 0.29 to 0.47 of the distance that is called strange. At `fast` the soft flat's few faces may
-    leave lumps of 15 µm in the middle of the gel, which looked strange to networks of before.
+    leave lumps of 15 µm in the middle of the gel.
     """
     said = {}
     for hardness in (19, 77):
