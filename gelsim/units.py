@@ -23,6 +23,7 @@ MESH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 
 # Longest suffix first: speed_mm_s is not in seconds.
 _SUFFIXES = {
+    "_n_per_m": "N/m",
     "_mm_s": "mm/s",
     "_mm": "mm",
     "_um": "µm",

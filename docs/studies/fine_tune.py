@@ -8,7 +8,8 @@ FOLDER is as docs/studies/hand_presses.py takes it, and presses are found and sc
 until 20 objects of three classes can be trained on; the objects of all other things are the test, the same for every k, and the k objects
 are among those of the next larger k. All videos of an object are trained on, told gel and scale, known by class alone.
 
-Ways: `tuned`, all weights by `learn.train.train` from a shipped network; `random`, the same network, data and code from random weights;
+Ways: `tuned`, all weights by `learn.train.train` from a shipped network; `mixed`, the same with as many simulated presses of the dataset
+`--simulated` in every batch; `random`, the same network, data and code from random weights;
 `head`, its last layer alone, by the same likelihood; `ridge`, a ridge regression of the class on the frozen network's features of each
 video (or on the hand-made ones of `learn.features`). Rate and steps, or the penalty, are chosen once for all k, by the mean Spearman with 5
 objects on splits of the half of things that choices may rest on (12 to test, of which 1 is hard); things of both halves are then tested.
@@ -104,6 +105,7 @@ def to_dataset(folder: Path, out: Path, mm_per_px: float, sensor: str) -> None:
 # ---- splits ----
 
 CLASSES = SOFT, MODERATE, HARD = 0, 1, 2
+WAYS = "head", "tuned", "mixed", "random"
 COUNTS = {2: (1, 0, 1), 5: (1, 2, 2), 10: (2, 4, 4), 20: (3, 8, 9)}
 """Objects of each class among k: from 5 on nearly as many of each as there are in all (6, 16, 16)."""
 CHOOSING = 0.3
@@ -211,6 +213,7 @@ class Place:
     work: Path
     device: str
     gpus: int
+    simulated: Path | None
 
 
 _place: Place
@@ -277,7 +280,8 @@ def run(job: Job) -> tuple[Job, dict[int, float] | str, float]:
     config = replace(config, input=begun.config.input, model=begun.config.model)
     try:
         reading = Reading(_place.work / "cache", device=_place.device)
-        train(folder / "fold", folder / "run", config, begin=Begin(init), reading=reading)
+        data, real = (_place.simulated, folder / "fold") if job.way == "mixed" else (folder / "fold", None)
+        train(data, folder / "run", config, real=real, begin=Begin(init), reading=reading)
         ensemble = Ensemble([folder / "run" / "model.pt"], pick_device(_place.device))
         asked = [index for body in test for index in body.presses]
         said = ensemble.read([_presses[index] for index in asked]).mean
@@ -489,7 +493,7 @@ def study(options: argparse.Namespace) -> None:
 
         regress("choose", options.choices, dict.fromkeys(starts, PENALTIES))
         regress("test", options.splits, {start: choose(known, bodies)["ridge", start] for start in starts})
-        context, place = get_context("spawn"), Place(options.data, work, options.device, gpus)
+        context, place = get_context("spawn"), Place(options.data, work, options.device, gpus, options.simulated)
         del presses, part
 
         def work_through(jobs: list[Job], until: float) -> None:
@@ -517,8 +521,10 @@ def study(options: argparse.Namespace) -> None:
             ("head", "paper2017"): (options.head_rates, options.head_steps),
             ("head", "varied"): (options.head_rates, options.head_steps),
             ("tuned", "paper2017"): (options.rates, options.steps),
+            **({("mixed", "paper2017"): (options.rates, options.steps)} if options.simulated else {}),
             ("tuned", "random"): (options.random_rates, options.random_steps),
         }
+        grids = {(way, start): of for (way, start), of in grids.items() if (start if start == "random" else way) in options.ways}
         choices = [
             Job("choose", number, way, start, CHOSEN_WITH, rate, steps, options.batch)
             for number in range(options.choices) for (way, start), (rates, counts) in grids.items() for rate in rates for steps in counts
@@ -526,10 +532,11 @@ def study(options: argparse.Namespace) -> None:
         work_through(choices, min(time.monotonic() + CHOOSING * options.seconds, until))
         chosen = choose(known, bodies)
         print(f"chosen: {chosen}", file=sys.stderr)
-        chosen["tuned", "varied"] = chosen["tuned", "paper2017"]
+        both = [way for way, start in grids if start == "paper2017" and way != "head"]
+        chosen |= {(way, "varied"): chosen[way, "paper2017"] for way in both}
         tests = [
             Job("test", number, way, start, k, chosen[way, start][0], chosen[way, start][1], options.batch)
-            for number in range(options.splits) for k in options.k for way, start in (*grids, ("tuned", "varied"))
+            for number in range(options.splits) for k in options.k for way, start in (*grids, *((way, "varied") for way in both))
         ]  # fmt: skip
         work_through(tests, until)
     table(out)
@@ -564,7 +571,7 @@ def table(out: Path) -> None:
     for entry in known:
         if entry["stage"] == "test":
             by_way.setdefault((entry["way"], entry["start"], entry["k"]), {})[entry["split"]] = entry["readings"]
-    for way in ("tuned", "head"):
+    for way in ("tuned", "mixed", "head"):
         for k in COUNTS:  # networks that read as one
             one, other = (by_way.get((way, start, k), {}) for start in SHIPPED["default"])
             both = {number: {i: (one[number][i] + other[number][i]) / 2 for i in one[number]} for number in one if number in other}
@@ -595,6 +602,8 @@ def main() -> None:
     asked.add_argument("data", type=Path)
     asked.add_argument("out", type=Path)
     asked.add_argument("--work", type=Path, help="where pictures and networks lie meanwhile, 1 GB (default: OUT/work)")
+    asked.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS), help="of those that are trained")
+    asked.add_argument("--simulated", type=Path, help="a dataset of simulated presses, for the way `mixed`")
     asked.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     asked.add_argument("--gpus", type=int, default=0, help="default: all")
     asked.add_argument("--workers", type=int, default=2, help="trainings at once")

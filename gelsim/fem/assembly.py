@@ -30,6 +30,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gelsim.fem.coat import Coat
 from gelsim.fem.elements import TetQuadrature
 from gelsim.fem.hyperelastic import (
     OgdenConstants,
@@ -455,6 +456,7 @@ class Solids:
         ]  # fmt: skip
         self._held = [wp.zeros(len(tets), dtype=wp.float64, device=device)]
         self._memory: Memory | None = None
+        self.coat: Coat | None = None
         self._entries: tuple[PairPattern, wp.array] | None = None
         self._apart: list[wp.array] = []
         """What threads add to: fresh memory would cost as much as what is added to it."""
@@ -484,6 +486,7 @@ class Solids:
         inputs[0] = wp.array(cells.reshape(-1, 14), dtype=wp.int32, device=joint.device)
         inputs[_SHAPE] = first._inputs[_SHAPE]
         joint._inputs = inputs
+        joint.coat = Coat.join([s.coat for s in solids])
         joint._held = [join_arrays([s._held[0] for s in solids])]
         joint.displacement, joint.pressure = inputs[_DISPLACEMENT], inputs[_PRESSURE]
         joint.rest_positions = join_arrays([s.rest_positions for s in solids])
@@ -520,10 +523,12 @@ class Solids:
         wp.launch(self._residual, len(self.tets), [*self._inputs, *self._held, *outputs], device=self.device)
         if self._memory is not None:
             self._memory.add_force(self.displacement, force)
+        if self.coat is not None:
+            self.coat.add_force(self.displacement, force)
 
     def energy(self) -> float:
         """Stored energy of the last `internal_force` [mN·mm = µJ]."""
-        return float(self._element_energy.numpy().sum())
+        return float(self._element_energy.numpy().sum()) + (0.0 if self.coat is None else self.coat.energy())
 
     def add_tangent(self, pairs: PairPattern, values: wp.array) -> None:
         """Adds ∂²Π to the matrix."""
@@ -534,6 +539,8 @@ class Solids:
             wp.launch(self._tangent, len(self.tets), [*self._inputs, *self._held, entries, values], device=self.device)
         if self._memory is not None:
             self._memory.add_tangent(pairs, values)
+        if self.coat is not None:
+            self.coat.add_tangent(self.displacement, pairs, values)
 
     def entries(self, pairs: PairPattern) -> Any:
         """What the tangent's kernel finds entries by: where each tet's numbers go, (T, TET_ENTRIES), kept until another pattern comes."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelsim.fem.assembly import Solids
+from gelsim.fem.coat import coat_of_faces
 from gelsim.fem.contact import ContactLaw, RigidContact, SurfaceContact, body_shares
 from gelsim.fem.elements import tet_quadrature_data
 from gelsim.fem.field import distance_field
@@ -128,6 +129,8 @@ class PressProblem:
         friction = ContactLaw.coefficient(scene.contact)
         self.law = ContactLaw(stiffness, PENALTY_SMOOTHING_MM[scene.fidelity], friction, STICK_PER_MODULUS * softest)
         coated = gel.groups["coated"]
+        if scene.gel.coat_n_per_m > 0.0:
+            self.solids.coat = coat_of_faces(coated, rest, scene.gel.coat_n_per_m, device)
         if isinstance(body, TetMesh):
             faces = (body.groups["contact"] + n).astype(np.int32)
             self.contact = SurfaceContact(coated, faces, rest, self.law, device, numerics.contact_points, gel.symmetry)

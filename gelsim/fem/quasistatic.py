@@ -183,6 +183,8 @@ def march_press(
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
         less = "a shorter motion" if end is PressEnd.PATH else "more frames, a smaller depth_mm"
+        if problem.scene.object.rigid and problem.scene.gel.coat_n_per_m == 0.0:
+            less += ", a coat that keeps the gel from creasing at rims (gel.coat_n_per_m = 5)"
         end = PressEnd.LOST
         message = (
             f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "

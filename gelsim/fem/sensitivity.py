@@ -15,9 +15,9 @@ symmetric (contact.py). The symmetric K_s is factorised once a state, in float64
 equation, whose answer goes into the second: where multipliers carry the load, little is left but one.
 
 θ are the moduli of the two bodies and the approach straight down. R is linear in a modulus at given w but for -p/κ. The penalty k is
-k·h = 30 E of the softer body, so it follows that modulus, and its (small) effect is part of the derivative. Both moduli together are only a
-scale of forces, at the same shape: the gel's part is the whole less the object's. The force is the platen's reaction, F = vᵀR over the
-driven nodes with v their unit motion, which needs the rows of the tangent that Newton leaves out.
+k·h = 30 E of the softer body, so it follows that modulus, and its (small) effect is part of the derivative. Both moduli and the stiffness
+of the coat together are only a scale of forces, at the same shape: the gel's part is the whole less the others'. The force is the platen's
+reaction, F = vᵀR over the driven nodes with v their unit motion, which needs the rows of the tangent that Newton leaves out.
 
 An object of several materials has one modulus here, that of its body, to which the others are in proportion.
 
@@ -158,6 +158,16 @@ def object_part(problem: PressProblem, equation: NDArray[np.int32], unknowns: in
     return part
 
 
+def coat_part(problem: PressProblem, equation: NDArray[np.int32], unknowns: int) -> Array:
+    """S ∂/∂S of the equations, of the coat's stiffness."""
+    solids, force = problem.solids, wp.zeros(problem.solids.node_count, dtype=wp.vec3d, device=problem.solids.device)
+    assert solids.coat is not None
+    solids.coat.add_force(solids.displacement, force)
+    part, used = np.zeros(unknowns), equation[:, :3] >= 0
+    part[equation[:, :3][used]] = force.numpy()[used]
+    return part
+
+
 def gradients(problem: PressProblem, moduli_kpa: Sequence[float], force: float) -> tuple[Array, Array]:
     """Derivatives by PARAMETERS of the force (3,) and of the nodes' heights (N, 3) [m], at a converged state of some force [N]."""
     linearised = Linearised(problem)
@@ -174,13 +184,16 @@ def gradients(problem: PressProblem, moduli_kpa: Sequence[float], force: float) 
 
     still, unpressed = np.zeros(size), np.zeros(len(linearised.active))
     of_depth = by(motion, still, unpressed)
-    of_gel = of_object = (0.0, np.zeros(len(equation)))
+    of_object, of_gel = (0.0, np.zeros(len(equation))), (force, np.zeros(len(equation)))
+    if problem.solids.coat is not None:
+        change, shape = by(still, coat_part(problem, equation, size), unpressed)
+        of_gel = of_gel[0] - change, of_gel[1] - shape
     if len(moduli_kpa) > 1:
         softer = min(moduli_kpa[1:]) < moduli_kpa[0]
         change, shape = by(still, object_part(problem, equation, size), linearised.by_penalty if softer else unpressed)
         of_object = change / moduli_kpa[1], shape / moduli_kpa[1]
-        of_gel = -change, -shape
-    of_gel = (force + of_gel[0]) / moduli_kpa[0], of_gel[1] / moduli_kpa[0]
+        of_gel = of_gel[0] - change, of_gel[1] - shape
+    of_gel = of_gel[0] / moduli_kpa[0], of_gel[1] / moduli_kpa[0]
     return np.array([of_gel[0], of_object[0], of_depth[0]]), np.column_stack([of_gel[1], of_object[1], of_depth[1]])
 
 

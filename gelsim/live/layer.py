@@ -3,8 +3,9 @@
 Under a traction exp(i k·x) on its outer face a layer of thickness h moves by the same wave. Along k and z, with u_l = i V, t_l = i T,
 Navier's equations have four solutions, (V, W) = (1, ±1) e^{±kz} and (κ ± kz, kz) e^{±kz}, κ = 3 - 4ν; V = W = 0 at z = -h and the traction
 at z = 0 give their shares, a 4 × 4 system. Across k the layer shears alone: u_s = t_s tanh(kh) / Gk. All are 1/Gk times a function of kh
-alone, tabulated once; displacement from traction is then a product in Fourier space (`Window.moved`). Tractions are looked for on a window
-of the grid around the contact: convolution with the answer to one cell, on twice the window's cells, is there what the whole grid gives.
+alone, tabulated once; a coat of stiffness S bears 4/3 S k² u_l and 1/3 S k² u_s of the traction. Displacement from traction is then a
+product in Fourier space (`Window.moved`). Tractions are looked for on a window of the grid around the contact: convolution with the answer
+to one cell, on twice the window's cells, is there what the whole grid gives.
 
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). With friction
 the height is read nearer to X (`Window.led`), as the face is drawn along and its slopes with it. The layer is as thick as the gel at the
@@ -124,6 +125,8 @@ class Elastic:
 
     shear_kpa: float
     poissons_ratio: float
+    coat_n_per_m: float = 0.0
+    """E t of the sheet on its face (`gelsim.fem.coat`)."""
 
 
 class Layer:
@@ -191,6 +194,9 @@ class Layer:
         along, mixed, normal, across = (scale * np.interp(k * thickness, _WAVES, table) for table in waves(nu))
         along[0, 0] = across[0, 0] = thickness / shear
         normal[0, 0] = thickness / shear * (1 - 2 * nu) / (2 - 2 * nu)
+        coat = self.material.coat_n_per_m * k**2
+        held = 1 / (1 + 4 / 3 * coat * along)
+        along, mixed, normal, across = along * held, mixed * held, normal - 4 / 3 * coat * held * mixed**2, across / (1 + coat / 3 * across)
         cx, cy = (np.divide(way, k, out=np.zeros_like(k), where=k > 0) for way in (kx, ky))
         # A wave of two cells has no direction to and fro.
         odd = (np.arange(k.shape[1])[None, :] != self.shape[1] // 2) & (np.arange(k.shape[0])[:, None] != self.shape[0] // 2)

@@ -83,12 +83,13 @@ def expected_error(scene: Scene, approach_mm: float) -> tuple[float, float]:
 def live_error(scene: Scene) -> tuple[float, float] | None:
     """`expected_error` of a press that `live_press` is known to be good at, before it is walked; None of others.
 
-    Those are round objects on a flat or domed, elastic gel, rigid or soft, up to the deepest that was compared with finite elements, and a
-    thickness away from its sides, beyond which the baked gel goes on.
+    Those are round objects on a flat or domed, elastic gel without a coat, rigid or soft, up to the deepest that was compared with finite
+    elements, and a thickness away from its sides, beyond which the baked gel goes on.
     """
     body, gel = scene.object, scene.gel
     deepest = shapes.furthest_approach(scene) * MM_PER_M
-    suits = body.shape in ROUND and gel.profile in COMPARED and not gel.prony_g and motion(scene.press) is None
+    bare = not gel.prony_g and gel.coat_n_per_m == 0.0
+    suits = body.shape in ROUND and gel.profile in COMPARED and bare and motion(scene.press) is None
     if not suits or not (body.rigid or _known_soft(scene)) or deepest > SHARES[3] * gel.thickness_mm:
         return None
     assert body.radius_mm is not None

@@ -523,7 +523,7 @@ class LiveSensor:
 def baked_gel(scene: Scene) -> tuple[Layer, Values, float]:
     """Of a scene's gel: its layer, its height at rest over the layer's cells [mm], and the coefficient of friction."""
     gel, material = scene.gel, materials.gel_material(scene)
-    layer = gel_layer.shared(gel.size_mm, Elastic(material.mu * KPA_PER_PA, material.poissons_ratio))
+    layer = gel_layer.shared(gel.size_mm, Elastic(material.mu * KPA_PER_PA, material.poissons_ratio, gel.coat_n_per_m))
     places = np.stack(np.meshgrid(layer.x * MM, layer.y * MM), axis=-1)
     rest = gel_height(gel, places.reshape(-1, 2)).reshape(layer.shape).astype(np.float32) * np.float32(MM_PER_M)
     friction = gel_layer.STICK if scene.contact.friction_coefficient == "stick" else float(scene.contact.friction_coefficient)

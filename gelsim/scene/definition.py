@@ -63,6 +63,8 @@ class Gel:
     """Shares of the shear modulus that relax, one for each prony_tau_s, of sum below 1; the hardness is then that of a fast press."""
     prony_tau_s: tuple[float, ...] = ()
     """Times in which they relax; none = no viscosity."""
+    coat_n_per_m: float = 0.0
+    """How much the coat resists being stretched: its Young's modulus times its thickness; 0.02 mm of 0.25 MPa make 5 N/m."""
 
     def __post_init__(self) -> None:
         _default_hardness(self, 17.0)

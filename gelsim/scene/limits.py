@@ -46,6 +46,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "gel.youngs_modulus_kpa": (1, 1e7),
     "gel.modulus_scale": (0.05, 20),
     "gel.poissons_ratio": (0, 0.49999),
+    "gel.coat_n_per_m": (0, 1000),
     "gel.prony_g": (0, 1),
     "gel.prony_tau_s": (1e-6, 1e6),
     "object.radius_mm": (0.5, 50),

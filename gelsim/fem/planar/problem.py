@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gelsim.fem.coat import coat_of_edges
 from gelsim.fem.contact import ContactLaw
 from gelsim.fem.newton import NewtonOptions
 from gelsim.fem.planar.assembly import PlanarSolids
@@ -77,6 +78,8 @@ class PlanarProblem(PressProblem):
         self.quadrature: PlanarQuadrature = planar_quadrature(rest, everything, self.turned)
         law = each([isochoric_constants(material, ogden) for material in kinds])
         self.solids = PlanarSolids(rest, everything, self.quadrature, law, each([m.kappa * KPA_PER_PA for m in kinds]), fixed, "cpu")
+        if scene.gel.coat_n_per_m > 0.0:
+            self.solids.coat = coat_of_edges(gel.groups["coated"], rest, scene.gel.coat_n_per_m, self.turned)
         self.memory = None
         self.shear = each([material.mu * KPA_PER_PA for material in kinds])
         softest = min(material.youngs_modulus for material in kinds) * KPA_PER_PA
