@@ -46,6 +46,16 @@ def sheet(triangles: wp.array2d(dtype=wp.int32), toward: wp.array(dtype=wp.mat22
 
 
 @wp.func
+def duals(f1: wp.vec3d, f2: wp.vec3d):
+    """det C and the columns of F C⁻¹."""
+    c11 = wp.dot(f1, f1)
+    c12 = wp.dot(f1, f2)
+    c22 = wp.dot(f2, f2)
+    det = c11 * c22 - c12 * c12
+    return det, (f1 * c22 - f2 * c12) / det, (f2 * c11 - f1 * c12) / det
+
+
+@wp.func
 def corner_gradient(d: wp.mat22d, corner: wp.int32) -> wp.vec2d:
     if corner == 0:
         return wp.vec2d(-d[0, 0] - d[1, 0], -d[0, 1] - d[1, 1])
@@ -61,14 +71,11 @@ def sheet_force(
     """Adds ∂W/∂u, and keeps each triangle's W."""
     t = wp.tid()
     f1, f2 = sheet(triangles, toward, rest, displacement, t)
-    c11 = wp.dot(f1, f1)
-    c12 = wp.dot(f1, f2)
-    c22 = wp.dot(f2, f2)
-    det = c11 * c22 - c12 * c12
+    det, dual1, dual2 = duals(f1, f2)
     mu = weights[t]
-    energy[t] = wp.float64(0.5) * mu * (c11 + c22 - wp.float64(2.0) + (wp.float64(1.0) - det) / det)
-    p1 = mu * (f1 - (f1 * c22 - f2 * c12) / (det * det))
-    p2 = mu * (f2 - (f2 * c11 - f1 * c12) / (det * det))
+    energy[t] = wp.float64(0.5) * mu * (wp.dot(f1, f1) + wp.dot(f2, f2) - wp.float64(2.0) + (wp.float64(1.0) - det) / det)
+    p1 = mu * (f1 - dual1 / det)
+    p2 = mu * (f2 - dual2 / det)
     for corner in range(3):
         g = corner_gradient(toward[t], corner)
         wp.atomic_add(force, triangles[t, corner], p1 * g[0] + p2 * g[1])
@@ -83,15 +90,10 @@ def sheet_tangent(
     """Adds ∂²W/∂u²."""
     t = wp.tid()
     f1, f2 = sheet(triangles, toward, rest, displacement, t)
-    c11 = wp.dot(f1, f1)
-    c12 = wp.dot(f1, f2)
-    c22 = wp.dot(f2, f2)
-    det = c11 * c22 - c12 * c12
+    det, dual1, dual2 = duals(f1, f2)
     mu = weights[t]
     n = wp.normalize(wp.cross(f1, f2))
     normals = wp.outer(n, n)
-    dual1 = (f1 * c22 - f2 * c12) / det
-    dual2 = (f2 * c11 - f1 * c12) / det
     for i in range(3):
         gi = corner_gradient(toward[t], i)
         ai = dual1 * gi[0] + dual2 * gi[1]
