@@ -3,10 +3,10 @@
     python docs/studies/creases.py FOLDER [--press 79 ...] [--fidelity balanced]
 
 A neo-Hookean half space creases where its surface is squeezed to 0.65 of its length, and buckles at any wave length at 0.54 (Hong, Zhao and
-Suo 2009; Biot 1963): the finer the faces, the more ways there are. A real gel's coat, which is not modelled, resists. Presses are the rigid
-ones of live's table (`gelsim.bench.live_presses`) that FOLDER keeps (`gelsim bench --only live --out OUT` keeps them in OUT/kept); those
-named are solved where they are not, and told state by state. Stretches are the lesser in-plane ones of the gel's outer faces, by their
-corners.
+Suo 2009; Biot 1963): the finer the faces, the more ways there are. A coat resists (`gel.coat_n_per_m`); these gels have none. Presses are
+the rigid ones of live's table (`gelsim.bench.live_presses`) that FOLDER keeps (`gelsim bench --only live --out OUT` keeps them in
+OUT/kept); those named are solved where they are not, and told state by state. Stretches are the lesser in-plane ones of the gel's outer
+faces, by their corners.
 """
 
 import argparse
@@ -16,20 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gelsim.bench import live_presses
-from gelsim.results import Deformation
-
-CREASE = 0.65
-
-
-def least_stretches(press: Deformation) -> np.ndarray:
-    """The lesser in-plane stretch of each face of the gel's outer surface, shape (states, faces)."""
-    rest, faces = press.gel.rest, press.gel.faces[:, :3]
-
-    def edges(points: np.ndarray) -> np.ndarray:
-        return np.stack([points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]], axis=2)
-
-    inverse = np.linalg.inv(np.linalg.qr(edges(rest), mode="r"))  # of a face's edges at rest, in a frame of its own
-    return np.array([np.linalg.svd(edges(rest + moved) @ inverse, compute_uv=False)[:, 1] for moved in press.gel.displacement])
+from gelsim.results import CREASE
 
 
 def main() -> None:
@@ -44,7 +31,7 @@ def main() -> None:
         if not options.press and not live_presses.kept_at(drawn, options.folder, options.fidelity).exists():
             continue
         press = live_presses.solved(drawn, options.folder, options.fidelity)
-        stretches = least_stretches(press)
+        stretches = np.array([press.gel.least_stretches(state) for state in range(len(press.approach))])
         if options.press:
             for approach, of_state in zip(press.approach, stretches, strict=True):
                 print(

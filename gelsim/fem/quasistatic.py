@@ -182,13 +182,15 @@ def march_press(
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
-        less = "a shorter motion" if end is PressEnd.PATH else "more frames, a smaller depth_mm"
+        ways = ["a shorter motion"] if end is PressEnd.PATH else ["more frames", "a smaller depth_mm"]
         if problem.scene.object.rigid and problem.scene.gel.coat_n_per_m == 0.0:
-            less += ", a coat that keeps the gel from creasing at rims (gel.coat_n_per_m = 5)"
+            ways.append("a coat that keeps the gel from creasing at rims (gel.coat_n_per_m = 5)")
+        if problem.scene.fidelity != "fast":
+            ways.append("--fidelity fast to see where it goes")
         end = PressEnd.LOST
         message = (
             f"press stopped {march.message}: {march.status.value}; {len(march.recorder.approach) - 1} of {press.frames - 1} steps were "
-            f"solved and kept. Try {less}, or --fidelity fast to see where it goes"
+            f"solved and kept. Try {' or '.join(filter(None, (', '.join(ways[:-1]), ways[-1])))}"
         )
     deformation = march.deformation(end, message)
     missing, jumped_at = march.energy.jump

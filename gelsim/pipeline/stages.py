@@ -55,6 +55,8 @@ rigid rim cuts in."""
 LIVE = "live"
 """The fidelity that solves no finite elements (`gelsim.live.press`)."""
 
+CREASED = 0.1
+"""Of its length, to which a rim squeezes the gel's face: of such presses half are lost (`docs/studies/creases.py`)."""
 UNSURE = 0.1
 """Estimated relative error of the force above which a report warns."""
 
@@ -622,6 +624,12 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
         noted.append(
             f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"
             + (f": a sharp or crushed edge; --fidelity {finer} shows how much" if finer else "")
+        )
+    squeezed = deformation.gel.least_stretches(-1).min()
+    if squeezed < CREASED and scene.object.rigid and scene.gel.coat_n_per_m == 0.0 and scene.fidelity in ("balanced", "reference"):
+        noted.append(
+            f"the gel's face is squeezed to {squeezed:.1g} of its length: a bare one creases there, which takes long to solve or has no "
+            "end; a coat resists (gel.coat_n_per_m = 5)"
         )
     if estimate is not None and estimate.force > UNSURE:
         noted.append(f"the force is known to {100 * estimate.force:.2g} % only (error_estimate); a finer --fidelity tells more")

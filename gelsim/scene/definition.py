@@ -246,8 +246,8 @@ class Press:
     depth_mm: float | None = 1.0
     """Total approach of the object's base from first touch."""
     force_n: float | None = 9.0
-    """Stop early at this normal force; either may be left out, not both. A depth_mm that is given without it is reached, whatever the
-    force. Several, such as [1, 2, 5]: a path of one second to each."""
+    """Stop early at this normal force; either may be left out, not both. What is given without the other is reached: a depth whatever
+    the force, a force however deep. Several, such as [1, 2, 5]: a path of one second to each."""
     frames: int = 10
     """Recorded states, the first is first touch: equally spaced in approach; of path in time, its waypoints among them (one each at least);
     of path_csv equally spaced in time."""

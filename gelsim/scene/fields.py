@@ -111,6 +111,11 @@ def share(text: str, name: str) -> float:
         raise SceneError(f'{name} = {text!r}: expected a share, such as 0.02 or "2%"') from None
 
 
+def _bare(text: str) -> str:
+    """A list as a scene file has it, without its brackets."""
+    return text.strip().removeprefix("[").removesuffix("]")
+
+
 def parse_text(text: str | list[str], hint: typing.Any, name: str) -> typing.Any:
     """What was typed as a value for a field of this type; `convert` checks it later. Several numbers for one are a list.
 
@@ -125,6 +130,7 @@ def parse_text(text: str | list[str], hint: typing.Any, name: str) -> typing.Any
             except tomllib.TOMLDecodeError as error:
                 raise SceneError(f"{name}: expected a TOML list of tables ({error})") from None
         if len(words) == 1:
+            words = [_bare(words[0])]
             words = words[0].replace(",", " ").split() if inner is float else words[0].replace(",", " ").replace("x", " ").split()
         return [parse_text(word, inner, name) for word in words]
     assert isinstance(text, str)
@@ -132,7 +138,7 @@ def parse_text(text: str | list[str], hint: typing.Any, name: str) -> typing.Any
     if bool in kinds and text.lower() in ("true", "false"):
         return text.lower() == "true"
     if float in kinds and "," in text:
-        return [parse_text(word, float, name) for word in text.replace(",", " ").split()]
+        return [parse_text(word, float, name) for word in _bare(text).replace(",", " ").split()]
     for kind in (int, float):
         if kind in kinds:
             try:

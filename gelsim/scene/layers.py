@@ -79,8 +79,11 @@ def build_scene(*layers: Layer) -> Scene:
             else:
                 merged[key] = value
     press = merged.get("press", {})
+    # what is given alone is reached
     if "force_n" not in press and str(press.get("depth_mm")).lower() != "none":
-        merged["press"] = {**press, "force_n": None}  # a depth that is given is reached
+        merged["press"] = {**press, "force_n": None}
+    elif "depth_mm" not in press and isinstance(press.get("force_n"), (int, float)):
+        merged["press"] = {**press, "depth_mm": None}
     try:
         return Scene(**merged)
     except (SceneError, MaterialError) as error:

@@ -70,6 +70,12 @@ def test_flags_are_fields() -> None:
     assert (scene.contact.friction_coefficient, scene.fidelity, scene.seed) == ("stick", "fast", 7)
 
 
+@pytest.mark.parametrize("several", ["1,2,5", "[1, 2, 5]"])
+def test_a_flag_takes_a_list_as_a_scene_file_has_it(several: str) -> None:
+    assert [point.force_n for point in scene_of("--force-n", several).press.path] == [1.0, 2.0, 5.0]
+    assert scene_of("--offset-mm", "[1, -2]").press.offset_mm == (1.0, -2.0)
+
+
 def test_shore_flag_takes_a_scale() -> None:
     assert scene_of("--shore", "45").object.shore_00 == 45.0
     hard = scene_of("--shore", "45", "--shore-scale", "A").object

@@ -43,13 +43,16 @@ def test_shipped_scenes_load(path: Path) -> None:
     load_scene(path)
 
 
-def test_a_depth_that_is_given_is_reached_whatever_the_force() -> None:
+def test_what_is_given_alone_is_reached() -> None:
     """Parts on `digit` ended at 0.19 to 0.47 mm of the 0.5 that were asked for, by the default force."""
     assert build_scene({}).press.force_n == 9.0 and build_scene({}).press.depth_mm == 1.0
     assert build_scene({"press": {"depth_mm": 0.5}}).press.force_n is None
     assert build_scene({"press": {"depth_mm": 0.5}}, {"press": {"force_n": 3.0}}).press.force_n == 3.0
     assert build_scene({"press": {"depth_mm": "None"}}).press.force_n == 9.0
+    assert build_scene({"press": {"force_n": 2.0}}).press.depth_mm is None  # and a force alone, however deep
+    assert build_scene({"press": {"force_n": "none"}}).press.depth_mm == 1.0
     whole = scene_table(build_scene({}))
+    assert build_scene(whole, {"press": {"force_n": 2.0}}).press.depth_mm == 1.0
     assert build_scene(whole, {"press": {"depth_mm": 0.5}}).press.force_n == 9.0  # a scene that was written says both
 
 
