@@ -541,7 +541,7 @@ def check_overlap(where: str, overlap: float, thickness: float) -> None:
     if overlap > DEEPEST * thickness:
         raise SceneError(
             f"{where}: the object overlaps the gel by {overlap:.2f} mm; allowed is {DEEPEST:g} of gel.thickness_mm = "
-            f"{thickness:g} mm, so {DEEPEST * thickness:.2f} mm; press less deep, or use gelsim.press"
+            f"{thickness:g} mm, so {DEEPEST * thickness:.2f} mm; press less deep, or use finite elements (gelsim.press)"
         )
 
 
