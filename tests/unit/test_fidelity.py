@@ -141,7 +141,7 @@ def test_a_press_meets_its_target() -> None:
 @pytest.mark.parametrize(
     ("press", "by", "said"),
     [
-        ({"force_n": 3.0}, "depth_mm", "depth_mm = 1 came before force_n = 3"),
+        ({"depth_mm": 1.0, "force_n": 3.0}, "depth_mm", "depth_mm = 1 came before force_n = 3"),
         ({"depth_mm": 2.0, "force_n": 0.5}, "force_n", "force_n = 0.5 came before depth_mm = 2"),
         ({}, "depth_mm", ""),
         ({"force_n": 0.5}, "force_n", ""),
