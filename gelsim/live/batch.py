@@ -145,7 +145,7 @@ class LiveBatch:
     def __init__(
         self, scene: Scene, sensors: int, objects: Sequence[Body] | None = None, *, image: bool = True, device: str = "auto"
     ) -> None:
-        """Makes the tables: seconds, and with pictures a minute once for each kind of sensor, whose light is then measured and kept.
+        """Makes the tables: seconds, and with pictures some more once for each kind of sensor, whose light is then measured and kept.
 
         Args:
             scene: Its gel, contact, camera, lights, coating and markers count; its press does not.

@@ -105,7 +105,7 @@ class Gel:
         """Force [N] and torque [N m] about the gel's origin on the gel by the object in the last step, in the gel's frame."""
 
     def image(self) -> NDArray[np.uint8]:
-        """The picture of the gel's last answer, 8-bit sRGB, shape (H, W, 3). The first of a sensor measures its light: a minute or two."""
+        """The picture of the gel's last answer, 8-bit sRGB, shape (H, W, 3). The first of a sensor measures its light: seconds."""
         return self.sensor.image()
 
     def reset(self) -> None:

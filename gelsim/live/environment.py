@@ -48,7 +48,7 @@ class TactileEnv(gymnasium.Env):
 
         Args:
             measured: Spaces of what is observed beside markers and pictures.
-            image: Pictures in the observation; a sensor's first measures its light, a minute or two.
+            image: Pictures in the observation; a sensor's first measures its light, seconds.
             render_mode: None, or "rgb_array": `render()` draws the scene, which needs OpenGL.
         """
         self.model, self.data, self.touch = touch.model, touch.data, touch

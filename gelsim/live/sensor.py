@@ -196,7 +196,7 @@ class LiveSensor:
     """A gel, its camera, and one object that moves in its frame: of a soft one the base does."""
 
     def __init__(self, scene: Scene, *, image: bool = True, device: str = "auto") -> None:
-        """Makes the tables: seconds, and with pictures a minute once for each sensor, whose light is then measured and kept.
+        """Makes the tables: seconds, and with pictures some more once for each sensor, whose light is then measured and kept.
 
         Args:
             scene: Its gel, contact, camera, lights, coating, markers and object count; its press does not.

@@ -147,7 +147,7 @@ def _press_facts(press: Deformation) -> dict[str, Any]:
         "peak_pressure_kpa": press.contact_pressure.max() / KPA,
         "gel_surface": f"{len(press.gel.rest)} nodes, {len(press.gel.faces6)} six-node faces",
         "object_surface": f"{len(press.object.rest)} nodes, {len(press.object.faces6)} six-node faces",
-        "smallest_jacobian": press.min_jacobian.min(),
+        **({"smallest_jacobian": least} if np.isfinite(least := press.min_jacobian.min()) else {}),
         "largest_penetration_mm": press.penetration.max() / MM,
         "newton_iterations": press.newton_iterations,
     }

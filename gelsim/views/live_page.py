@@ -199,7 +199,7 @@ class LivePage:
             of_sensor = given if sensor == given.sensor.preset else build_scene({"sensor": {"preset": sensor}})
             parts = {name: getattr(of_sensor, name) for name in ("sensor", *PRESET_SECTIONS)}
             scene = self.scene.replace(object=_sized(body, size), **parts)
-            self._say("Making it ready; a light that was not measured before takes a minute or two …")
+            self._say("Making it ready; a light that was not measured before takes some seconds …")
             self.sensor = self._made(scene)
         except GelsimError as error:
             self._sensors.value, self._shapes.value, self._sizes.value, self._rigid.value, self._shores.value = self._asked
