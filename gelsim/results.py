@@ -26,7 +26,7 @@ class SurfaceMotion:
     """The six-node faces themselves, shape (F/4, 6): for sampling between nodes."""
 
     def least_stretches(self, state: int) -> NDArray[np.float64]:
-        """The lesser in-plane stretch of each face in a state, (F,): below CREASE the face of a neo-Hookean body creases."""
+        """The lesser in-plane stretch of each face in a state, (F,)."""
 
         def sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
             first, second, third = np.moveaxis(points[self.faces], 1, 0)
@@ -34,10 +34,6 @@ class SurfaceMotion:
 
         inverse = np.linalg.inv(np.linalg.qr(sides(self.rest), mode="r"))  # of a face's sides at rest, in a frame of its own
         return np.linalg.svd(sides(self.rest + self.displacement[state]) @ inverse, compute_uv=False)[:, 1].astype(np.float64)
-
-
-CREASE = 0.65
-"""Of its length: squeezed below it the surface of a neo-Hookean half space creases (Hong, Zhao and Suo 2009)."""
 
 
 @dataclass(frozen=True)

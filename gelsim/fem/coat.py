@@ -33,6 +33,12 @@ Array = NDArray[np.float64]
 
 
 @wp.func
+def stored(mu: wp.float64, trace: wp.float64, det: wp.float64) -> wp.float64:
+    """W of a piece whose E t/3 times the area is mu, by tr C and det C."""
+    return wp.float64(0.5) * mu * (trace - wp.float64(2.0) + (wp.float64(1.0) - det) / det)
+
+
+@wp.func
 def sheet(triangles: wp.array2d(dtype=wp.int32), toward: wp.array(dtype=wp.mat22d), rest: wp.array(dtype=wp.vec3d),
           displacement: wp.array(dtype=wp.vec3d), t: wp.int32):  # fmt: skip
     """F by its two columns; `toward` the inverse of a triangle's sides at rest, in its plane."""
@@ -73,7 +79,7 @@ def sheet_force(
     f1, f2 = sheet(triangles, toward, rest, displacement, t)
     det, dual1, dual2 = duals(f1, f2)
     mu = weights[t]
-    energy[t] = wp.float64(0.5) * mu * (wp.dot(f1, f1) + wp.dot(f2, f2) - wp.float64(2.0) + (wp.float64(1.0) - det) / det)
+    energy[t] = stored(mu, wp.dot(f1, f1) + wp.dot(f2, f2), det)
     p1 = mu * (f1 - dual1 / det)
     p2 = mu * (f2 - dual2 / det)
     for corner in range(3):
@@ -132,7 +138,7 @@ def edge_force(
     one, two, way = stretches(pieces, lengths, radii, rest, displacement, t)
     det = one * one * two * two
     mu = weights[t]
-    energy[t] = wp.float64(0.5) * mu * (one * one + two * two - wp.float64(2.0) + (wp.float64(1.0) - det) / det)
+    energy[t] = stored(mu, one * one + two * two, det)
     along = way * (mu * (one - wp.float64(1.0) / (det * one)) / lengths[t])
     around = wp.float64(0.0)
     if radii[t] > wp.float64(0.0):
@@ -202,11 +208,11 @@ class Coat:
         first = next((coat for coat in coats if coat is not None), None)
         if first is None:
             return None
-        nodes, (*shape, weight) = len(first.rest), first.constants
-        weights = [0.0 * weight if coat is None else coat.constants[-1] for coat in coats]
-        constants = [np.concatenate([each] * len(coats)) for each in shape]
-        pieces = np.concatenate([first.pieces + number * nodes for number in range(len(coats))])
-        return Coat(first.kernels, pieces, [*constants, np.concatenate(weights)], np.tile(first.rest, (len(coats), 1)), first.device)
+        without = Coat(first.kernels, first.pieces, [*first.constants[:-1], 0.0 * first.constants[-1]], first.rest, first.device)
+        each = [coat or without for coat in coats]
+        pieces = np.concatenate([coat.pieces + number * len(coat.rest) for number, coat in enumerate(each)])
+        constants = [np.concatenate(of_all) for of_all in zip(*(coat.constants for coat in each), strict=True)]
+        return Coat(first.kernels, pieces, constants, np.concatenate([coat.rest for coat in each]), first.device)
 
     def energy(self) -> float:
         """W at the displacements of the last `add_force` [mN·mm]."""

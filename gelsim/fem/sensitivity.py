@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from gelsim.errors import SceneError, SolveError, SolveStatus
+from gelsim.fem.coat import Coat
 from gelsim.fem.linear import float64_factors
 from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
 from gelsim.fem.problem import MILLINEWTON, PressProblem
@@ -143,8 +144,15 @@ class Linearised:
         return moved + self._spread(both[:count]), both[count:]
 
 
-def object_part(problem: PressProblem, equation: NDArray[np.int32], unknowns: int) -> Array:
-    """E ∂/∂E of the elements' equations, of the object's modulus: the isochoric forces, and +p/κ of the volumes."""
+def by_unknown(values: Array, equation: NDArray[np.int32], unknowns: int) -> Array:
+    """What nodes have (N, 3 or 4) as a vector of unknowns."""
+    numbers, found = equation[:, : values.shape[1]], np.zeros(unknowns)
+    found[numbers[numbers >= 0]] = values[numbers >= 0]
+    return found
+
+
+def object_part(problem: PressProblem) -> Array:
+    """E ∂/∂E of the elements' equations (N, 4), of the object's modulus: the isochoric forces, and +p/κ of the volumes."""
     solids = problem.solids
     displacement, pressure = solids.state()
     with_pressure = solids.internal_force()[1]
@@ -152,20 +160,15 @@ def object_part(problem: PressProblem, equation: NDArray[np.int32], unknowns: in
     force, without, _ = solids.internal_force()
     solids.set_state((displacement, pressure))
     both = np.column_stack([force, without - with_pressure])
-    used = (equation >= 0) & (np.arange(solids.node_count) >= problem.object_nodes[0])[:, None]
-    part = np.zeros(unknowns)
-    part[equation[used]] = both[used]
-    return part
+    both[: problem.object_nodes[0]] = 0.0
+    return both
 
 
-def coat_part(problem: PressProblem, equation: NDArray[np.int32], unknowns: int) -> Array:
-    """S ∂/∂S of the equations, of the coat's stiffness."""
-    solids, force = problem.solids, wp.zeros(problem.solids.node_count, dtype=wp.vec3d, device=problem.solids.device)
-    assert solids.coat is not None
-    solids.coat.add_force(solids.displacement, force)
-    part, used = np.zeros(unknowns), equation[:, :3] >= 0
-    part[equation[:, :3][used]] = force.numpy()[used]
-    return part
+def coat_part(coat: Coat, displacement: wp.array) -> Array:
+    """S ∂/∂S of the equations (N, 3), of the coat's stiffness."""
+    force = wp.zeros_like(displacement)
+    coat.add_force(displacement, force)
+    return np.asarray(force.numpy(), np.float64)
 
 
 def gradients(problem: PressProblem, moduli_kpa: Sequence[float], force: float) -> tuple[Array, Array]:
@@ -185,12 +188,12 @@ def gradients(problem: PressProblem, moduli_kpa: Sequence[float], force: float) 
     still, unpressed = np.zeros(size), np.zeros(len(linearised.active))
     of_depth = by(motion, still, unpressed)
     of_object, of_gel = (0.0, np.zeros(len(equation))), (force, np.zeros(len(equation)))
-    if problem.solids.coat is not None:
-        change, shape = by(still, coat_part(problem, equation, size), unpressed)
+    if (coat := problem.solids.coat) is not None:
+        change, shape = by(still, by_unknown(coat_part(coat, problem.solids.displacement), equation, size), unpressed)
         of_gel = of_gel[0] - change, of_gel[1] - shape
     if len(moduli_kpa) > 1:
         softer = min(moduli_kpa[1:]) < moduli_kpa[0]
-        change, shape = by(still, object_part(problem, equation, size), linearised.by_penalty if softer else unpressed)
+        change, shape = by(still, by_unknown(object_part(problem), equation, size), linearised.by_penalty if softer else unpressed)
         of_object = change / moduli_kpa[1], shape / moduli_kpa[1]
         of_gel = of_gel[0] - change, of_gel[1] - shape
     of_gel = of_gel[0] / moduli_kpa[0], of_gel[1] / moduli_kpa[0]

@@ -208,13 +208,16 @@ def test_its_part_in_the_derivative_by_the_gels_modulus() -> None:
 
 
 def test_many_as_one() -> None:
-    """Of scenes with and without a coat, each has its own."""
+    """Of scenes with and without a coat, and of others' sizes, each has its own."""
     coat, displacement, _ = case_of("faces")
-    joint = Coat.join([None, coat])
+    nodes, faces = sphere_faces(1, 2.5)
+    larger = coat_of_faces(faces, nodes, 2 * STIFFNESS, "cpu")
+    joint = Coat.join([None, coat, larger])
     assert joint is not None and Coat.join([None, None]) is None
-    both = forces(joint, np.vstack([displacement, displacement]))
-    assert not both[: len(displacement)].any()
-    assert np.allclose(both[len(displacement) :], forces(coat, displacement), rtol=1e-12, atol=0)
+    none, one, other = np.split(forces(joint, np.vstack([displacement] * 3)), 3)
+    assert not none.any()
+    assert np.allclose(one, forces(coat, displacement), rtol=1e-12, atol=0)
+    assert np.allclose(other, forces(larger, displacement), rtol=1e-12, atol=0)
 
 
 def test_waves_of_the_live_layer() -> None:
