@@ -10,7 +10,7 @@ import contextlib
 import re
 import subprocess
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gelsim.data.episodes import gel_facts, load_dataset, read_episode
 from gelsim.errors import GelsimError
+from gelsim.scene.definition import Scene
 from gelsim.scene.layers import load_scene
 from learn.config import InputConfig, LearnError
 from learn.data import UNKNOWN_GEL, Gel, gel_of
@@ -99,10 +100,16 @@ Frames = Callable[[], Iterator[NDArray[np.uint8]]]
 
 
 def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path | None, framing: Framing) -> Source:
-    opened, given, picture, scale = frames(), framing, inputs.picture, framing.scale
+    beside = _scene_beside(path)
+    opened, given, picture = frames(), framing, inputs.picture
     with contextlib.closing(opened):  # type: ignore[type-var]
         first = list(islice(opened, 1))
+        if first and beside is not None and framing.scale is None and framing.corners is None:
+            height, width = first[0].shape[:2]
+            wide, high = beside.camera.field_mm
+            framing = given = replace(framing, mm_per_px=max(wide / width, high / height))
         framing = framing.outlined(first[0]) if first else framing
+        scale = framing.scale
 
         def whole(kept: NDArray[np.uint8]) -> NDArray[np.uint16]:
             return fit_picture(kept, picture) if scale is None else averaged(as_wide(kept, picture), picture)
@@ -132,7 +139,7 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
     recording = Recording(rest, pictures[read], signal[read], scaled=scale is not None)
     notes = [] if framing is given else ["a border was cut off (--crop {} {} {} {})".format(*framing.crop or ())]
     notes += [found.note] if found.note else []
-    return _checked(Source(str(path), recording, gel=_gel_beside(path), note="; ".join(notes)))
+    return _checked(Source(str(path), recording, gel=_gel_of(beside), note="; ".join(notes)))
 
 
 def _seen(
@@ -149,10 +156,17 @@ def _seen(
     return levels_of(np.stack(pictures)) if pictures else np.empty((0, 0, 0, 3), np.float32)
 
 
-def _gel_beside(path: Path) -> Gel:
-    """The gel of the scene that a folder of `gelsim render` keeps; without one that can be read the pictures are still good."""
+def _scene_beside(path: Path) -> Scene | None:
+    """The scene that a folder of `gelsim render` keeps; without one that can be read the pictures are still good."""
     try:
-        return gel_of(gel_facts(load_scene(path / "scene.toml").gel))
+        return load_scene(path / "scene.toml")
+    except GelsimError:
+        return None
+
+
+def _gel_of(scene: Scene | None) -> Gel:
+    try:
+        return UNKNOWN_GEL if scene is None else gel_of(gel_facts(scene.gel))
     except GelsimError:
         return UNKNOWN_GEL
 

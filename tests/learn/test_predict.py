@@ -18,7 +18,7 @@ from PIL import Image
 
 from gelsim.data.corners import Corners
 from gelsim.data.episodes import load_dataset
-from gelsim.scene.definition import Gel, Scene
+from gelsim.scene.definition import Camera, Gel, Scene
 from gelsim.scene.layers import dump_scene
 from learn import cli
 from learn.config import InputConfig, LearnError
@@ -82,10 +82,13 @@ def test_the_gel_is_told_by_a_sensor_or_by_what_is_read(fake_data: Path, tiny_ru
     ]
     (usual,) = ask(tiny_run, folder, sensor="fingertip2017")
     assert len({answer["shore_00"] for answer in (untold, told[0], usual)}) == 3
-    # What `gelsim render` wrote says it itself; --sensor beats it; a scene that cannot be read takes nothing away.
-    (folder / "scene.toml").write_text(whole.read_text())
-    assert ask(tiny_run, folder)[0]["shore_00"] == told[0]["shore_00"]
-    assert ask(tiny_run, folder, sensor="fingertip2017")[0]["shore_00"] == usual["shore_00"]
+    # What `gelsim render` wrote says it itself, and its scale; what is asked for beats it; a scene that cannot be read takes nothing away.
+    field = 0.8 * FIELD_MM[0], 0.8 * FIELD_MM[1]
+    (folder / "scene.toml").write_text(dump_scene(Scene(gel=thick, camera=Camera(field_mm=field))))
+    scale = Framing(mm_per_px=field[0] / press.shape[2])
+    assert "not known" in told[0]["note"] and "not known" not in (whole_told := ask(tiny_run, folder)[0])["note"]
+    assert whole_told == ask(tiny_run, folder, sensor=str(whole), framing=scale)[0] != told[0]
+    assert ask(tiny_run, folder, sensor="fingertip2017", framing=scale)[0]["shore_00"] != whole_told["shore_00"]
     (folder / "scene.toml").write_text("gel = 3")
     assert ask(tiny_run, folder)[0] == untold
     # So do the rows of a dataset and of an episode.
