@@ -50,7 +50,8 @@ except ImportError as error:
     raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
 
 from gelsim.live.batch_kernels import FAR_MM, undersides
-from gelsim.live.batch_layer import TINY, Answers, Layers, Ways, bounded, read, stream
+from gelsim.live.batch_layer import TINY, Answers, Layers, Residuals, Ways, bounded, read, stream
+from gelsim.live.residual import Residual
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -178,6 +179,7 @@ class LiveBatch:
         self._rest = torch.as_tensor(rest, device=self.device)
         thinnest = max(gel.thickness_mm * (1.0 - single.THINNING * DEEPEST) + float(rest.min()), 0.05 * gel.thickness_mm)
         self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
+        self._learnt = Residuals(Residual(self._layer, gel.thickness_mm), self.device)
         x, y = self._layers.x, self._layers.y
         self._rest_slope = self._layers.slope(self._rest)[:, None] if rest.any() else None
         self._places = [self._wp(part) for part in (x[0], y[:, 0], self._rest + RISE * DEEPEST * gel.thickness_mm)]
@@ -524,13 +526,14 @@ class LiveBatch:
         return BatchFrame(self.image() if self._draws else None, forces, torques, contact, self, state)
 
     def _seen_field(self, state: State) -> Tensor:
-        """`_field`, kept for who looks next."""
+        """As `gelsim.live.sensor.State.shown`, kept for who looks next."""
         if self._shown is None or self._shown[0] is not state:
-            self._shown = state, self._field(state)
+            field = self._field(state)
+            self._shown = state, field + self._learnt(field, state.pressure, state.shear)
         return self._shown[1]
 
     def _field(self, state: State) -> Tensor:
-        """As `gelsim.live.sensor.State.field`: displacement over the grid as it is seen [mm], (n, 3, rows, columns)."""
+        """As `gelsim.live.sensor.State.field`: displacement over the grid [mm], (n, 3, rows, columns)."""
         layers, rest = self._layers, self._rest
         ways = layers.ways(state.thickness)
         facing = self._facing(ways, state.body, state.springs)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,10 @@ from scipy import fft
 from torch import Tensor
 
 from gelsim.live import layer as single
+from gelsim.live import residual
 from gelsim.live.batch_kernels import bent, bent_stress, carried_along, dragged_waves, lifted_waves, moved_waves, press_on, shear_on
 from gelsim.live.layer import Layer
+from gelsim.live.residual import Kernel, Residual
 from gelsim.live.soft import modes
 
 CHECKED = 4
@@ -311,6 +313,31 @@ def bounded(q: Tensor, bound: Tensor) -> Tensor:
     """Tangential tractions (n, 2, rows, columns), cut to a length (n, 1, rows, columns)."""
     length = torch.hypot(q[:, 0], q[:, 1])[:, None]
     return q * (bound / length.clamp(min=TINY)).clamp(max=1.0)
+
+
+class Residuals:
+    """`gelsim.live.residual` of many gels of a kind."""
+
+    def __init__(self, known: Residual, device: str) -> None:
+        def there(values: Any) -> Any:
+            return values if values is None else torch.as_tensor(values, device=device)
+
+        self._known, self._ways = known, [tuple(map(there, ways)) for ways in (known.to, known.back)]
+        self._kernels = [Kernel(there(kernel.weights), there(kernel.bias)) for kernel in residual.kernels()]
+        self._cells = [torch.arange(count, device=device) for count in known.shape]
+
+    def __call__(self, displacement: Tensor, pressure: Tensor, shear: Tensor) -> Tensor:
+        """What the layers' displacements lack [mm], (n, 3, rows, columns)."""
+        known, (to, back) = self._known, self._ways
+        seen = torch.stack(residual.inputs(displacement.unbind(1), pressure, shear.unbind(1), known.thickness, known.shear_kpa), 1)
+        seen = residual.resampled(seen, to)
+        share: Any = 1.0
+        for axis, cells in zip((2, 1), self._cells, strict=True):
+            touched = (seen[:, 3] != 0).any(dim=axis).to(torch.uint8)
+            first, last = touched.argmax(dim=1), len(cells) - 1 - touched.flip(1).argmax(dim=1)
+            share = share * residual.fade(cells, first[:, None], last[:, None]).unsqueeze(axis)
+        found = share[:, None] * residual.answer(seen, self._kernels, partial(torch.nn.functional.conv2d, padding=1))
+        return residual.resampled(found, back) * known.thickness
 
 
 def read(values: Tensor, layer: Layer, at: Tensor) -> Tensor:

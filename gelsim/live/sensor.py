@@ -24,6 +24,7 @@ from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
 from gelsim.live.layer import Elastic, Layer, SoftBody, Values, Window
 from gelsim.live.patch import Patch, torque
+from gelsim.live.residual import Residual
 from gelsim.membrane.markers import marker_layout
 from gelsim.optics.camera import marker_pixels
 from gelsim.results import Membrane
@@ -108,6 +109,8 @@ class State:
     """Of shear (rows, columns) [kPa]."""
     friction: float
     """Coefficient."""
+    learnt: Residual
+    """Of the gel."""
 
     @property
     def facing(self) -> Window:
@@ -176,6 +179,14 @@ class State:
             moved[2] += led - whole.sunk(self.over(held, whole.shape))
         return moved
 
+    @cached_property
+    def shown(self) -> Values:
+        """The same with what the layer lacks: what is seen of the face. What is felt goes by `field` alone."""
+        shape = self.window.layer.shape
+        if not self.pressure.any():
+            return self.field
+        return self.field + self.learnt(self.field, self.over(self.pressure, shape), self.over(self.shear, shape))
+
     def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
         """Values of the window's cells over the whole grid; 0 elsewhere."""
         wide = np.zeros((*values.shape[:-2], *shape), values.dtype)
@@ -215,6 +226,7 @@ class LiveSensor:
         self._layer, self._rest, self._friction = baked_gel(scene)
         self.x, self.y = self._layer.x * MM, self._layer.y * MM
         """Of the grid's columns and rows [m]."""
+        self._learnt = Residual(self._layer, scene.gel.thickness_mm)
         self._object = Underside(scene.object)
         self._spring = None if scene.object.rigid else soft.spring(scene, self._layer)
         centres = marker_layout(scene).centres
@@ -237,7 +249,7 @@ class LiveSensor:
         nothing = np.zeros((3, 0, 0), np.float32)
         window = self._layer.window(self._layer.shape, self._scene.gel.thickness_mm)
         at_rest = nothing[0], nothing[:2], self._rest, nothing, nothing, nothing[:2], nothing[:2], nothing[0]
-        self._state = State(window, None, (slice(0, 0), slice(0, 0)), *at_rest, self._friction)
+        self._state = State(window, None, (slice(0, 0), slice(0, 0)), *at_rest, self._friction, self._learnt)
 
     def step(self, pose: ArrayLike, dt: float) -> LiveFrame:
         """Moves the object to a pose and says what the sensor sees and feels there.
@@ -305,7 +317,7 @@ class LiveSensor:
 
     def image(self) -> NDArray[np.uint8]:
         """The picture of the present state, 8-bit sRGB, shape (H, W, 3): for a loop that steps more often than it looks."""
-        return self._drawer.draw(self._state.field)
+        return self._drawer.draw(self._state.shown)
 
     def marker_pixels(self) -> Array:
         """(column, row) of the marker centres in the present state [px], (K, 2); NaN outside the picture."""
@@ -445,7 +457,8 @@ class LiveSensor:
             along, carried = window.bending(p, moved, rest)
             anchor = np.where(stuck, anchor, met[:2] + window.dragged(along) + carried)
         dragged, anchor = dragged.astype(np.float32, copy=False), anchor.astype(np.float32, copy=False)
-        self._state = State(window, body, place, p, q, self._rest, moved, met, dragged, anchor, bound, self._friction)
+        felt = window, body, place, p, q, self._rest, moved, met, dragged, anchor, bound
+        self._state = State(*felt, self._friction, self._learnt)
         self._pose, self._clear = (turn, shift), 0.0
 
     def _place(self, region: Place, near: NDArray[np.bool_]) -> Place:
@@ -480,7 +493,7 @@ class LiveSensor:
         )
 
     def _height(self, state: State) -> NDArray[np.float32]:
-        return ((self._rest + state.field[2]) * MM).astype(np.float32)
+        return ((self._rest + state.shown[2]) * MM).astype(np.float32)
 
     def _marker_pixels(self, state: State) -> Array:
         membrane = Membrane(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3), np.int32), self._spots(state))
@@ -506,12 +519,12 @@ class LiveSensor:
         at = rest
         for look in range(gel_layer.LOOKS, 0, -1):  # x = X + u_t(x)
             between = gel_layer.between if look > 1 else gel_layer.smooth_between
-            at = rest + self._read(state.field[:2], at, between).T
+            at = rest + self._read(state.shown[:2], at, between).T
         return at
 
     def _displaced(self, state: State, places: Array) -> Array:
         at = self._now_at(state, places)
-        height = self._read(state.field[2], at) * MM + gel_height(self._scene.gel, at * MM)
+        height = self._read(state.shown[2], at) * MM + gel_height(self._scene.gel, at * MM)
         return np.column_stack([at * MM - places, height - gel_height(self._scene.gel, places)])
 
     def _read(self, values: Values, at: Array, between: Callable = gel_layer.smooth_between) -> NDArray[np.floating]:

@@ -20,7 +20,7 @@ from gelsim.units import MM_PER_M
 def pressed(**gel: object) -> LiveSensor:
     """A ball pressed and drawn along."""
     ball = Body(shape="hemisphere", radius_mm=2.0, height_mm=4.0, rigid=True)
-    sensor = LiveSensor(flat_scene(gel=Gel(size_mm=(8.0, 8.0), **gel), object=ball), image=False)  # type: ignore[arg-type]
+    sensor = LiveSensor(flat_scene(gel=Gel(**({"size_mm": (8.0, 8.0)} | gel)), object=ball), image=False)  # type: ignore[arg-type]
     for x, z in ((0.5, -0.4), (0.5, -0.8), (0.9, -0.8)):
         sensor.step((x * 1e-3, 0.4e-3, z * 1e-3, 1.0, 0.0, 0.0, 0.0), 0.01)
     return sensor
@@ -40,7 +40,7 @@ def test_the_surface_is_the_membrane(variant, gel: dict, monkeypatch: pytest.Mon
     def apart() -> tuple[float, float]:
         """Places [mm], normals."""
         arrays = choose_arrays(variant)
-        places, normals = Surface(arrays, sensor._scene.gel, sensor._layer).under(sensor._state.field)
+        places, normals = Surface(arrays, sensor._scene.gel, sensor._layer).under(sensor._state.shown)
         off = arrays.numpy(places).reshape(-1, 4)[:, :3] - known.positions * MM_PER_M
         turned = arrays.numpy(normals).reshape(-1, 2) - known.normals[:, :2]
         return float(np.abs(off[middle]).max()), float(np.abs(turned[middle]).max())
@@ -52,14 +52,14 @@ def test_the_surface_is_the_membrane(variant, gel: dict, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.name)
 def test_coarser_inter_reflection_is_not_seen(variant) -> None:
-    sensor = pressed()
+    sensor = pressed(size_mm=(16.0, 16.0), profile="flat")
     field = linear_field()
     scene, surface = sensor._scene, Surface(choose_arrays(variant), sensor._scene.gel, sensor._layer)
 
     def picture(**cell: float) -> np.ndarray:
         renderer = BakedRenderer(scene, field, variant, **cell)
         renderer.upload([surface.still])
-        return renderer.fetch(renderer.launch(surface.under(sensor._state.field)))[0]
+        return renderer.fetch(renderer.launch(surface.under(sensor._state.shown)))[0]
 
     fine = picture()
 
