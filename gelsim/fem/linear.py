@@ -99,7 +99,8 @@ class PardisoSolver:
         path = find_mkl()
         if path is None:
             raise ImportError("no mkl_rt library")
-        if os.environ.setdefault("MKL_THREADING_LAYER", "TBB") == "TBB":
+        asked = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS")  # which TBB does not heed
+        if os.environ.setdefault("MKL_THREADING_LAYER", "SEQUENTIAL" if asked == "1" else "TBB") == "TBB":
             # idle OpenMP threads spin, which on a busy machine costs more than they bring; TBB's sleep. mkl_rt looks for TBB by name only
             for tbb in sorted(glob.glob(os.path.join(os.path.dirname(path), "libtbb.so.*")), key=len)[:1]:
                 ctypes.CDLL(tbb, mode=ctypes.RTLD_GLOBAL)

@@ -304,8 +304,7 @@ def load_average() -> float | None:
 
 def settings(threads: int) -> dict[str, str]:
     """Environment of a process that shall compute on so many threads."""
-    names = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
-    return names | {"MKL_THREADING_LAYER": "SEQUENTIAL"} if threads == 1 else names
+    return {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
 
 
 @contextmanager
