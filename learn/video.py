@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gelsim.data.episodes import gel_facts, load_dataset, read_episode
+from gelsim.data.episodes import field_seen, gel_facts, load_dataset, read_episode
 from gelsim.errors import GelsimError
 from gelsim.scene.definition import Scene
 from gelsim.scene.layers import load_scene
@@ -105,9 +105,7 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
     with contextlib.closing(opened):  # type: ignore[type-var]
         first = list(islice(opened, 1))
         if first and beside is not None and framing.scale is None and framing.corners is None:
-            height, width = first[0].shape[:2]
-            wide, high = beside.camera.field_mm
-            framing = given = replace(framing, mm_per_px=max(wide / width, high / height))
+            framing = given = replace(framing, mm_per_px=field_seen(beside)[0] / first[0].shape[1])
         framing = framing.outlined(first[0]) if first else framing
         scale = framing.scale
 
@@ -139,7 +137,8 @@ def _recorded(path: Path, frames: Frames, inputs: InputConfig, background: Path 
     recording = Recording(rest, pictures[read], signal[read], scaled=scale is not None)
     notes = [] if framing is given else ["a border was cut off (--crop {} {} {} {})".format(*framing.crop or ())]
     notes += [found.note] if found.note else []
-    return _checked(Source(str(path), recording, gel=_gel_of(beside), note="; ".join(notes)))
+    gel = UNKNOWN_GEL if beside is None else gel_of(gel_facts(beside.gel))
+    return _checked(Source(str(path), recording, gel=gel, note="; ".join(notes)))
 
 
 def _seen(
@@ -162,13 +161,6 @@ def _scene_beside(path: Path) -> Scene | None:
         return load_scene(path / "scene.toml")
     except GelsimError:
         return None
-
-
-def _gel_of(scene: Scene | None) -> Gel:
-    try:
-        return UNKNOWN_GEL if scene is None else gel_of(gel_facts(scene.gel))
-    except GelsimError:
-        return UNKNOWN_GEL
 
 
 def _checked(source: Source) -> Source:

@@ -304,7 +304,9 @@ def load_average() -> float | None:
 
 def settings(threads: int) -> dict[str, str]:
     """Environment of a process that shall compute on so many threads."""
-    return {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+    names = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+    # A parent that has pressed left it the layer of its own threads (`fem.linear.PardisoSolver`).
+    return names | {"MKL_THREADING_LAYER": "SEQUENTIAL"} if threads == 1 else names
 
 
 @contextmanager

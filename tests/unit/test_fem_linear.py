@@ -16,6 +16,7 @@ from gelsim.fem.pattern import build_pattern, element_pairs, pair_keys
 from gelsim.fem.quasistatic import run_press
 from gelsim.fem.reference import element_tangent
 from gelsim.scene.materials import ElasticMaterial
+from gelsim.work.workers import settings
 
 EPS = np.finfo(float).eps
 needs_mkl = pytest.mark.skipif(find_mkl() is None, reason="no MKL here")
@@ -397,3 +398,13 @@ def test_a_press_whose_matrices_are_singular_is_lost(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("scipy.sparse.linalg.splu", singular)
     press = run_batch([problem])[0] if batched else run_press(problem, throw=False)
     assert press.lost and len(press.approach) == 1
+
+
+@needs_mkl
+@pytest.mark.parametrize(("said", "layer"), [({"OMP_NUM_THREADS": "1"}, "SEQUENTIAL"), ({"OMP_NUM_THREADS": "2"}, "TBB"), ({}, "TBB")])
+def test_one_thread_is_one(said: dict[str, str], layer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """TBB heeds neither variable. A worker of one thread takes one, whatever its parent chose."""
+    monkeypatch.setattr(linear.os, "environ", said | {})
+    PardisoSolver()
+    assert linear.os.environ["MKL_THREADING_LAYER"] == layer
+    assert (linear.os.environ | settings(1))["MKL_THREADING_LAYER"] == "SEQUENTIAL"
