@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,7 @@ import warp as wp
 from gelsim.errors import RenderError, SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as single
-from gelsim.live import soft
+from gelsim.live import soft, stiffening
 from gelsim.live.layer import Layer
 from gelsim.live.sensor import (
     BENDINGS,
@@ -52,6 +52,7 @@ except ImportError as error:
 from gelsim.live.batch_kernels import FAR_MM, undersides
 from gelsim.live.batch_layer import TINY, Answers, Layers, Residuals, Ways, bounded, read, stream
 from gelsim.live.residual import Residual
+from gelsim.live.stiffening import Gel
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -180,6 +181,7 @@ class LiveBatch:
         thinnest = max(gel.thickness_mm * (1.0 - single.THINNING * DEEPEST) + float(rest.min()), 0.05 * gel.thickness_mm)
         self._layers = Layers(self._layer, (1 - single.THINNER) * thinnest, 1.01 * gel.thickness_mm, self.device)
         self._learnt = Residuals(Residual(self._layer, gel.thickness_mm), self.device)
+        self._law = stiffening.law().on(partial(torch.as_tensor, device=self.device))
         x, y = self._layers.x, self._layers.y
         self._rest_slope = self._layers.slope(self._rest)[:, None] if rest.any() else None
         self._places = [self._wp(part) for part in (x[0], y[:, 0], self._rest + RISE * DEEPEST * gel.thickness_mm)]
@@ -229,14 +231,12 @@ class LiveBatch:
             self._state = State(thickness, *of_face, owner, *body)
             self._turn = torch.eye(3, dtype=torch.float64, device=device).repeat(n, len(self.objects), 1, 1)
             self._shift = torch.zeros((n, len(self.objects), 3), dtype=torch.float64, device=device)
-            self._clear = torch.zeros((n, len(self.objects)), device=device)
             self._known = torch.zeros(n, dtype=torch.bool, device=device)
             return
         mask = torch.zeros(n, dtype=torch.bool, device=device)
         mask[torch.as_tensor(which, device=device)] = True
         self._state = self._released(self._state, mask)
         self._known &= ~mask
-        self._clear = torch.where(mask[:, None], 0.0, self._clear)
 
     def _released(self, state: State, mask: Tensor) -> State:
         """With some sensors (n,) that touch nothing."""
@@ -261,7 +261,7 @@ class LiveBatch:
         way = self._way(turn, shift)
         pieces = (way / MOST_TRAVEL_MM).ceil().clamp(min=1.0)
         most = int(pieces.max()) if self._friction else 1
-        begin = before = self._state, self._turn, self._shift, self._clear, self._known
+        begin = before = self._state, self._turn, self._shift, self._known
         try:
             for piece in range(1, most):
                 part = (piece / pieces).double()[:, None]
@@ -269,7 +269,7 @@ class LiveBatch:
                 self._increment(piece < pieces, *there, *self._seen(*there, self._state.aside))
             self._increment(torch.ones_like(self._known), turn, shift, heights, owner)
         except SceneError:
-            self._state, self._turn, self._shift, self._clear, self._known = before  # poses that are refused leave no trace
+            self._state, self._turn, self._shift, self._known = before  # poses that are refused leave no trace
             raise
         return self._frame()
 
@@ -353,32 +353,28 @@ class LiveBatch:
 
     def _increment(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor) -> None:
         """One, of the sensors that go on; again from where a soft object's apex lies once it is bent, up to BENDINGS times."""
-        each = (heights - self._rest).amin(dim=(2, 3))
-        known, found = self._state, self._moved(going, turn, shift, heights, owner, each, self._state)
+        known, found = self._state, self._moved(going, turn, shift, heights, owner, self._state)
         again = going
         for _ in range(BENDINGS if self._spring is not None else 0):
             again = again & ((found.aside - known.aside).norm(dim=1) >= STILL_MM)
             if not bool(again.any()):
                 break
             heights, owner = self._seen(turn, shift, found.aside)
-            each = torch.where(again[:, None], (heights - self._rest).amin(dim=(2, 3)), each)
-            known, found = found, self._moved(again, turn, shift, heights, owner, each, found)
+            known, found = found, self._moved(again, turn, shift, heights, owner, found)
         if self._spring is not None:
             worst = int(found.body[:, 1].argmin())
             soft.check_flat(f"poses[{worst}]", float(found.body[worst, 1]), self._spring.height, self._flattest)
         at = going[:, None]
         self._state, self._known = found, self._known | going
         self._turn, self._shift = torch.where(at[..., None, None], turn, self._turn), torch.where(at[..., None], shift, self._shift)
-        self._clear = torch.where(at, each.clamp(min=0.0), self._clear)
 
-    def _moved(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor, each: Tensor, known: State) -> State:
+    def _moved(self, going: Tensor, turn: Tensor, shift: Tensor, heights: Tensor, owner: Tensor, known: State) -> State:
         """Pressure, shear and thickness that go with each other at the new poses, of the sensors that go on.
 
         Args:
-            each: Least height of each object over the gel at rest (n, objects) [mm].
             known: Their first guess, which of soft objects says how they are bent, and the state of the others.
         """
-        touching = going & (each.amin(dim=1) < 0)
+        touching = going & ((heights.amin(dim=1) - self._rest).amin(dim=(1, 2)) < 0)
         if self._spring is not None:
             upright = torch.where(touching, turn[:, 0, 2, 2], 1.0)
             worst = int(upright.argmin())
@@ -390,26 +386,25 @@ class LiveBatch:
             return known
         state, guess, height = self._state.of(which), known.of(which), heights.amin(dim=1)[which]
         room, owner = height - self._rest, owner[which]
-        anchor = state.anchor
+        way = None
         if self._friction:
             over = torch.where(height < FAR_MM / 2, height, 0.0)
             here = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, over), 1)
             one, other = (turn[which], shift[which]), (self._turn[which], self._shift[which])
-            drift = (here - self._carried(here, owner, one, other))[:, :2]
-            # Of a way that began in the air, the part from first touch on.
-            share = torch.where(each < 0, each / (each - self._clear).clamp(max=-1e-9), 0.0)[which]
-            by_cell = torch.gather(share, 1, owner.long().flatten(1)).view_as(here[:, 0])
-            drift = torch.where(self._known[which][:, None, None, None], drift * by_cell[:, None], 0.0)
-            anchor = self._layers.carried_along(anchor, drift)
-        state = replace(state, anchor=anchor, pressure=guess.pressure, shear=guess.shear, body=guess.body)
+            way = (here - self._carried(here, owner, one, other)) * self._known[which][:, None, None, None]
+        last, state = state, replace(state, pressure=guess.pressure, shear=guess.shear, body=guess.body)
         placed = None
         if self._spring is not None:
             apex = shift[which, 0, :2] + guess.aside
             placed = Placed(turn[which, 0], apex, guess.load(self._layer), height - shift[which, 0, 2, None, None].float())
-        return known.put(which, self._solved(state, room, owner, placed))
+        return known.put(which, self._solved(state, last, way, room, owner, placed))
 
-    def _solved(self, state: State, room: Tensor, owner: Tensor, placed: Placed | None) -> State:
-        """As `LiveSensor._move` alternates. Sensors leave as they are done."""
+    def _solved(self, state: State, last: State, way: Tensor | None, room: Tensor, owner: Tensor, placed: Placed | None) -> State:
+        """As `LiveSensor._move` alternates. Sensors leave as they are done.
+
+        Args:
+            last: Before the object went its `way`, as its points over the cells did (n, 3, rows, columns) [mm].
+        """
         layers, rest, gel, body = self._layers, self._rest, self._scene.gel, state.body
         kept = replace(state, owner=owner)
         place = torch.arange(len(room), device=room.device)
@@ -422,6 +417,10 @@ class LiveBatch:
         facing = self._facing(ways, body, springs)
         if placed is not None:
             met, dragged = layers.moved(facing, p, q), layers.dragged(facing, q)
+        if way is not None:
+            face = (last.moved if placed is None else layers.moved(facing, last.pressure, last.shear))[:, 2]
+            share = single.carried_share(last.pressure, face - room, -way[:, 2])
+            anchor = layers.carried_along(anchor, share[:, None] * way[:, :2])
         for round in range(single.ROUNDS):
             before = p
             p, gap = layers.pressed(facing, room - met[:, 2], p, softest, -room.amin(dim=(1, 2), keepdim=True))
@@ -504,26 +503,38 @@ class LiveBatch:
     def _frame(self) -> BatchFrame:
         layer, layers, state = self._layer, self._layers, self._state
         z = self._rest + state.moved[:, 2]
-        slope = layers.slope(z)
-        if self._rest_slope is not None:
-            _, less = layers.work_and_less(state.thickness, state.pressure)
-            pressed = state.pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
-            slope = slope - (less / (2.0 * pressed)) * self._rest_slope
-        traction = state.shear + state.pressure[:, None] * slope.transpose(0, 1)
-        traction = torch.cat([traction, -state.pressure[:, None]], 1)
-        touching = state.pressure > 0
         force, torque = [], []
         for body in range(len(self.objects)):
-            mine = traction if len(self.objects) == 1 else traction * (state.owner == body)[:, None]
-            sums, by_z = mine.flatten(2) @ layers.arms, mine.flatten(2) @ z.flatten(1)[:, :, None]
+            mine = state
+            if len(self.objects) > 1:
+                its = state.owner == body
+                mine = replace(state, pressure=state.pressure * its, shear=state.shear * its[:, None])
+            traction = self._tractions(mine, z)
+            sums, by_z = traction.flatten(2) @ layers.arms, traction.flatten(2) @ z.flatten(1)[:, :, None]
             force.append(sums[:, :, 0])
             by = torch.cat([sums[:, :, 1:], by_z], 2)  # of force along i, times the place along j
             torque.append(torch.stack([by[:, j, i] - by[:, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], 1))
-        stiffer = layers.stiffening(state.thickness, state.pressure, state.moved) if self._friction else torch.ones_like(z[:, :1, :1])
-        newtons = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * stiffer.double()  # from kPa
-        contact = torch.where(touching, state.owner, -1).to(torch.int8)
-        forces, torques = torch.stack(force, 1) * newtons, torch.stack(torque, 1) * newtons * MM
+        newtons = layer.cell[0] * layer.cell[1] * MM**2 * 1e3  # from kPa
+        contact = torch.where(state.pressure > 0, state.owner, -1).to(torch.int8)
+        forces, torques = torch.stack(force, 1).double() * newtons, torch.stack(torque, 1).double() * newtons * MM
         return BatchFrame(self.image() if self._draws else None, forces, torques, contact, self, state)
+
+    def _tractions(self, state: State, height: Tensor) -> Tensor:
+        """Of one object, that others are told, along x, y and z [kPa], (n, 3, rows, columns); `height` of the face [mm]."""
+        layers, pressure, moved = self._layers, state.pressure, state.moved[:, 2]
+        slope, shear = layers.slope(height), torch.hypot(state.shear[:, 0], state.shear[:, 1])
+        work, less = layers.work_and_less(state.thickness, pressure)
+        thinner = (less / work.clamp(min=TINY)).flatten()
+        gel = Gel(state.thickness.float(), thinner, layers.modulus, self._layer.cell[0] * self._layer.cell[1])
+        more = self._law(torch.stack(stiffening.measures(gel, pressure, shear, layers.slope(pressure), moved, slope), 1))
+        if self._spring is not None:
+            facing = self._facing(layers.ways(state.thickness), state.body, state.springs)
+            more = more * stiffening.share(pressure, moved, layers.moved(facing, pressure, state.shear)[:, 2])
+        if self._rest_slope is not None:
+            pressed = pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
+            slope = slope - (less / (2.0 * pressed)) * self._rest_slope
+        found = torch.cat([state.shear + pressure[:, None] * slope.transpose(0, 1), -pressure[:, None]], 1)
+        return (1.0 + more)[:, None, None, None] * found
 
     def _seen_field(self, state: State) -> Tensor:
         """As `gelsim.live.sensor.State.shown`, kept for who looks next."""

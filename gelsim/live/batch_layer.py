@@ -224,15 +224,6 @@ class Layers:
         total = pressure.sum(dim=(1, 2), keepdim=True).clamp(min=TINY)
         return moved[:, 2] + (rest - (pressure * rest).sum(dim=(1, 2), keepdim=True) / total)
 
-    def stiffening(self, thickness: Tensor, pressure: Tensor, moved: Tensor) -> Tensor:
-        """As `layer.stiffening`, (n, 1, 1)."""
-        deepest, total = -moved[:, 2].amin(dim=(1, 2), keepdim=True), pressure.sum(dim=(1, 2), keepdim=True)
-        mean = -inner(pressure, moved[:, 2]) / total.clamp(min=TINY)
-        share = (mean / deepest.clamp(min=TINY)).clamp(0.0, 1.0)
-        thinned = single.STIFFENING * share**single.FLATNESS * mean
-        work, less = self.work_and_less(thickness, pressure)
-        return torch.where((total > 0) & (deepest > 0), 1.0 + less / work.clamp(min=TINY) * thinned, 1.0)
-
     def work_and_less(self, thickness: Tensor, pressure: Tensor) -> tuple[Tensor, Tensor]:
         """As `layer.work_and_less`, (n, 1, 1) each."""
         work, thinner = (inner(pressure, self.sunk(self.ways(h), pressure)) for h in (thickness, (1 - single.THINNER) * thickness))

@@ -10,7 +10,7 @@ to one cell, on twice the window's cells, is there what the whole grid gives.
 The linear answer is read as a field in space: the height above x is u_z(x), and the material point X sits at x = X + u_t(x). With friction
 the height is read nearer to X (`Window.led`), as the face is drawn along and its slopes with it. The layer is as thick as the gel at the
 centre of pressure; under load, where friction keeps the face from spreading, as stiff as one thinner by THINNING of the mean indentation
-(`held_back`). Flat faces meet more than that: it multiplies forces alone (`stiffening`).
+(`held_back`). What forces are more than that is learnt (gelsim/live/stiffening.py).
 
 Contact without penetration is solved by conjugate gradients with bounds (Polonsky and Keer 1999). Friction (gelsim/fem/friction.py) is
 incremental: where |q| is below its bound the gel moves with the object, elsewhere q opposes the slip; with p given that is a minimum over
@@ -55,11 +55,9 @@ THINNING = 0.35
 """Of the mean indentation, where friction holds all of the face's spreading back: least squares over forces of balls of R 3 to 12 mm
 pressed straight down with friction of 0.2 to 1, which leaves 2 %. 0.27, whatever friction holds, leaves as much there, and 6 % of a ball
 that slides (0.6 mm to and fro), which has no thinning."""
-STIFFENING, FLATNESS = 0.59, 16.0
-"""Of `stiffening`: least squares over punches, frusta, tori, tubes, wedges and balls at `balanced`, with friction of 0.25 to 1, of which
-53 % are within the bounds of docs/live.md without it, 82 % with it."""
 LED = 0.69
-"""Share of `Window.led` that is taken: least squares over heights of the same presses, of which it leaves 0.33 of the squares."""
+"""Share of `Window.led` that is taken: least squares over heights of punches, frusta, tori, tubes, wedges and balls at `balanced`, which
+leaves 0.33 of the squares."""
 THINNER = 0.1
 """Of the thickness: the step of a difference quotient."""
 BENT = 0.5
@@ -85,6 +83,8 @@ PUNCH_TOLERANCE = 0.05
 """Of the motion that is asked of some cells, RMS."""
 STEPS = 200
 """Of a gradient method, at most."""
+LEAST_MM = 1e-9
+"""Of a way, which nothing is divided by."""
 STICK = 1e3
 """Coefficient of friction that stands for "stick"."""
 LOOKS = 3
@@ -577,21 +577,6 @@ def pressure(window: Window, room: Values, start: Values, known: Values | None =
     return p, gap
 
 
-def stiffening(window: Window, pressure: Values, moved: Values) -> float:
-    """How many times as large tractions with friction are as those of the linear layer.
-
-    To first order as of a layer thinner by STIFFENING of the mean indentation, times its share of the deepest to the power FLATNESS, 0.4
-    under a flat face and 0.003 under a ball. It depends on the state alone, and changes neither it nor the ratio of shear to pressure.
-    """
-    deepest, total = -float(moved[2].min(initial=0.0)), float(pressure.sum())
-    if total == 0.0 or deepest <= 0.0:
-        return 1.0
-    mean = -float(np.vdot(pressure, moved[2])) / total
-    thinned = STIFFENING * (mean / deepest) ** FLATNESS * mean
-    work, less = work_and_less(window, pressure)
-    return 1.0 + less / work * thinned
-
-
 def work_and_less(window: Window, pressure: Values) -> tuple[float, float]:
     """Σ p · sunk(p) [kPa mm] over the cells, and by how much it is less of a layer that is thinner [per mm]."""
     work, thinner = (float(np.vdot(pressure, one.sunk(pressure))) for one in (window, window.at((1 - THINNER) * window.thickness)))
@@ -695,6 +680,21 @@ def punch(window: Window, cells: NDArray[np.bool_], motion: Values) -> Values:
 def level(pressure: Values, rest: Values) -> Any:
     """Height of the gel at rest [mm] where the pressure's centre is."""
     return np.float32((pressure * rest).sum() / max(float(pressure.sum()), 1e-30))
+
+
+def carried_share(pressure: Any, overlap: Any, down: Any) -> Any:
+    """By what share of its way the object takes cells along: all of what touched before.
+
+    Of what comes to touch on the way as much of it as is pressed in: tractions that come together are then alike, as under an oblique load,
+    where nothing slips that they hold (Mindlin and Deresiewicz 1953).
+
+    Args:
+        pressure: Before.
+        overlap: That there would be now without any more of it [mm].
+        down: How far the object came down on the way [mm].
+    """
+    share = (overlap / down.clip(min=LEAST_MM)).clip(min=0.0, max=1.0)
+    return share + (pressure > 0) * (1.0 - share)
 
 
 def carried_along(values: Values, drift: Values, cell: tuple[float, float]) -> Values:

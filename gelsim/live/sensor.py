@@ -22,9 +22,11 @@ from scipy.spatial.transform import Rotation
 from gelsim.errors import SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as gel_layer
+from gelsim.live import stiffening
 from gelsim.live.layer import Elastic, Layer, SoftBody, Values, Window
 from gelsim.live.patch import Patch, torque
 from gelsim.live.residual import Residual
+from gelsim.live.stiffening import Gel
 from gelsim.membrane.markers import marker_layout
 from gelsim.optics.camera import marker_pixels
 from gelsim.results import Membrane
@@ -131,9 +133,24 @@ class State:
         return self.body.motion(layer.cell[0] * layer.cell[1], self.pressure, self.shear)[:2]
 
     @cached_property
-    def stiffer(self) -> Any:
+    def stiffer(self) -> float:
         """How many times as large as here the tractions are that others are told."""
-        return np.float32(gel_layer.stiffening(self.window, self.pressure, self.moved) if self.friction else 1.0)
+        if not self.pressure.any():
+            return 1.0
+        share = 1.0 if self.body is None else float(stiffening.share(self.pressure, self.moved[2], self.met[2]))
+        return 1.0 + share * float(stiffening.law()(self.measures))
+
+    @cached_property
+    def measures(self) -> Values:
+        """x that `stiffer` goes by."""
+        window, (work, less) = self.window, self._work_and_less
+        gel = Gel(window.thickness, np.float64(less / work), window.layer.material.shear_kpa, window.layer.cell[0] * window.layer.cell[1])
+        steep, slope = window.slope(self.pressure), window.slope(self.rest + self.moved[2])
+        return np.array(stiffening.measures(gel, self.pressure, np.hypot(*self.shear), steep, self.moved[2], slope))
+
+    @cached_property
+    def _work_and_less(self) -> tuple[float, float]:
+        return gel_layer.work_and_less(self.window, self.pressure)
 
     @cached_property
     def points(self) -> Array:
@@ -158,7 +175,7 @@ class State:
         slope = self.window.slope(self.rest + self.moved[2])
         if not (self.gel.any() and self.pressure.any()):
             return slope
-        _, less = gel_layer.work_and_less(self.window, self.pressure)
+        _, less = self._work_and_less
         slope -= np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
         return slope
 
@@ -333,7 +350,7 @@ class LiveSensor:
         """The cells that touch, and how their forces go on over a small motion: for an implicit step of a simulator around the sensor."""
         layer, state = self._layer, self._state
         touching = state.pressure > 0
-        cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * float(state.stiffer)  # kPa to N
+        cell = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * state.stiffer  # kPa to N
         per_metre = cell / MM  # kPa/mm to N/m
         window, cells, springs = self._punched
         if window is not state.window or not np.array_equal(cells, touching):
@@ -389,19 +406,10 @@ class LiveSensor:
             self._pose, self._clear = (turn, shift), lowest
             return
         place = self._place(region, room < -RISE * lowest)
-        p, q, anchor = state.seen(place)
-        if known.place == place:
-            p, q = known.pressure, known.shear
+        *last, anchor = state.seen(place)
+        p, q = (known.pressure, known.shear) if known.place == place else last
         inside = tuple(slice(part.start - whole.start, part.stop - whole.start) for part, whole in zip(place, region, strict=True))
         heights, room, rest = heights[inside], room[inside], self._rest[place]
-        if self._pose is not None and self._friction:
-            # Where a point of the object that is now over a place came from.
-            x, y = np.meshgrid(layer.x[place[1]], layer.y[place[0]])
-            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)]).reshape(3, -1) - shift[:, None]
-            drift = here[:2] - (self._pose[0] @ turn.T)[:2] @ here + (shift - self._pose[1])[:2, None]
-            # Of a way that began in the air, the part from first touch on.
-            drift = drift.reshape(anchor.shape).astype(np.float32) * np.float32(lowest / (lowest - self._clear))
-            anchor = gel_layer.carried_along(anchor, drift, layer.cell)
         window, moved, met, dragged = state.window, state.moved, state.met, state.dragged
         body, spring = None, self._spring
         if spring is not None:
@@ -412,6 +420,15 @@ class LiveSensor:
         facing = gel_layer.against(window, body)
         if place != state.place or facing is not window:
             met, dragged = facing.moved(p, q), facing.dragged(q)
+        if self._pose is not None and self._friction:
+            # Where a point of the object that is now over a place came from.
+            x, y = np.meshgrid(layer.x[place[1]], layer.y[place[0]])
+            here = np.stack([x, y, np.where(heights < 1e2, heights, 0.0)]).reshape(3, -1) - shift[:, None]
+            way = here - self._pose[0] @ turn.T @ here + (shift - self._pose[1])[:, None]
+            *along, up = way.reshape(3, *p.shape).astype(np.float32)
+            face = met[2] if known is state else facing.moved(*last)[2]
+            share = gel_layer.carried_share(last[0], face - room, -up)
+            anchor = gel_layer.carried_along(anchor, share * np.stack(along), layer.cell)
         solved = not self._friction  # a flat face that goes along the gel changes its shear alone
         bent, turned, bound = np.zeros_like(met[:2]), 0.0, np.zeros_like(p)
         for _ in range(gel_layer.ROUNDS):
@@ -478,7 +495,7 @@ class LiveSensor:
 
     def _frame(self) -> LiveFrame:
         layer, state = self._layer, self._state
-        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * float(state.stiffer)  # kPa to N
+        area = layer.cell[0] * layer.cell[1] * MM**2 * 1e3 * state.stiffer  # kPa to N
         touching = state.pressure > 0
         p = state.pressure[touching]
         tangential = state.shear[:, touching] + p * state.slope[:, touching]
@@ -510,7 +527,7 @@ class LiveSensor:
     def pressure_at(self, places: Array) -> Array:
         """Contact pressure [Pa], (M,), on the material points of the surface that rest over places (M, 2) [m]."""
         state = self._state
-        whole = state.over(state.pressure * state.stiffer, self._layer.shape)
+        whole = state.over(state.pressure * np.float32(state.stiffer), self._layer.shape)
         return self._read(whole, self._now_at(state, places), gel_layer.between).astype(float) / KPA_PER_PA
 
     def _now_at(self, state: State, places: Array) -> Array:

@@ -79,7 +79,8 @@ def test_a_ball_is_within_the_bounds_and_a_softer_gel_is_not(rows: dict[bool, li
         assert abs(row["force_percent"]) < live.BOUNDS["force_percent"][1][place] + 2.3
         assert row["height_um"] < live.BOUNDS["height_um"][1][place] + 6.0
         assert row["marker_um"] < live.BOUNDS["marker_um"][1][place]
-        assert faulty["force_percent"] == pytest.approx(100 * ((1 + row["force_percent"] / 100) / 1.1 - 1), abs=1.5)
+        # A tenth less of the layer, and what it is multiplied by sees a tenth less load: a tenth of its N, 0.28 at most.
+        assert faulty["force_percent"] == pytest.approx(100 * ((1 + row["force_percent"] / 100) / 1.1 - 1), abs=2.8)
 
 
 def test_a_table_counts_what_is_within() -> None:

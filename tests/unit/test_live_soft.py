@@ -170,15 +170,15 @@ def test_a_low_wide_one_is_that_of_finite_elements(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_low_punch_is_that_of_finite_elements(monkeypatch: pytest.MonkeyPatch) -> None:
-    """R 4 mm, 2 mm high, 0.4 of the thickness deep: a quarter of its height is gone, 4 % of the force is missing. On springs that do not
-    stiffen as it shortens it is 14 %."""
+    """R 4 mm, 2 mm high, 0.4 of the thickness deep: a quarter of its height is gone, 15 % of the force is missing, as is told. On springs
+    that do not stiffen as it shortens it is 23 %."""
     given = scene(press={"depth_mm": 0.96}, shape="punch", radius_mm=4.0, height_mm=2.0)
     truth = gelsim.press(given.replace(fidelity="fast"))
     normal, _, _ = off(gelsim.press(given), truth)
-    assert normal < 0.06  # `balanced` is 0.3 % from it
+    assert normal < 0.17 < expected_error(given, 0.96)[0]  # `balanced` is 0.3 % from it
     placed = soft.Spring.placed
     monkeypatch.setattr(soft.Spring, "placed", lambda self, *of: placed(self, *of[:-1], 0.0))  # planted: it keeps its height
-    assert off(gelsim.press(given), truth)[0] > 0.1
+    assert off(gelsim.press(given), truth)[0] > 0.2
 
 
 class Upright(HeldBody):
