@@ -394,21 +394,21 @@ def fit(options: argparse.Namespace) -> None:
     values = [part for of, to in pairwise(sizes) for part in (torch.randn(to, of) * (0.1 if to == 1 else 1.0) / of**0.5, torch.zeros(to))]
     values = [value.requires_grad_() for value in values]
 
-    def law(*ends: Any) -> stiffening.Law:
+    def law(least: Any = -math.inf, most: Any = math.inf) -> stiffening.Law:
         first, beside = values[0] / spread, values[1] - (values[0] / spread) @ mean
         layers = ((first, beside), *((values[i], values[i + 1]) for i in range(2, len(values), 2)))
-        return stiffening.Law(x.amin(dim=0), x.amax(dim=0), *ends, layers)
+        return stiffening.Law(x.amin(dim=0), x.amax(dim=0), least, most, layers)
 
     optimizer = torch.optim.AdamW(values, lr=FIT_RATE, weight_decay=DECAY)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, FIT_STEPS)
     for _ in range(FIT_STEPS):
-        over = forces.over(law(-math.inf, math.inf))[0, front]
+        over = forces.over(law())[0, front]
         loss = torch.nn.functional.huber_loss(over, torch.zeros_like(over))
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
-    answers = law(-math.inf, math.inf)(x)
+    answers = law()(x)
     found = law(answers.min(), answers.max())
     parts = {f"{part}{i}": layer[j] for i, layer in enumerate(found.layers) for j, part in enumerate(("weights", "bias"))}
     ends = {end: getattr(found, end) for end in ("low", "high", "least", "most")}

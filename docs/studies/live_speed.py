@@ -141,7 +141,7 @@ def main() -> None:
         if beside:
             axes[1].plot(*beside, "xC2", markersize=8)
             axes[1].annotate("Taxim's package", beside, textcoords="offset points", xytext=(-4, 8), fontsize=8)
-        axes[0].legend(fontsize=7)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
         figure.tight_layout()
         figure.savefig(options.out, dpi=110)
 

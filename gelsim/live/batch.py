@@ -52,7 +52,7 @@ except ImportError as error:
 from gelsim.live.batch_kernels import FAR_MM, undersides
 from gelsim.live.batch_layer import TINY, Answers, Layers, Residuals, Ways, bounded, read, stream
 from gelsim.live.residual import Residual
-from gelsim.live.stiffening import Gel
+from gelsim.live.stiffening import Scale
 
 if TYPE_CHECKING:
     from gelsim.live.drawing import Drawer
@@ -392,18 +392,18 @@ class LiveBatch:
             here = torch.stack(torch.broadcast_tensors(self._layers.x, self._layers.y, over), 1)
             one, other = (turn[which], shift[which]), (self._turn[which], self._shift[which])
             way = (here - self._carried(here, owner, one, other)) * self._known[which][:, None, None, None]
-        last, state = state, replace(state, pressure=guess.pressure, shear=guess.shear, body=guess.body)
+        began, state = state, replace(state, pressure=guess.pressure, shear=guess.shear, body=guess.body)
         placed = None
         if self._spring is not None:
             apex = shift[which, 0, :2] + guess.aside
             placed = Placed(turn[which, 0], apex, guess.load(self._layer), height - shift[which, 0, 2, None, None].float())
-        return known.put(which, self._solved(state, last, way, room, owner, placed))
+        return known.put(which, self._solved(state, began, way, room, owner, placed))
 
-    def _solved(self, state: State, last: State, way: Tensor | None, room: Tensor, owner: Tensor, placed: Placed | None) -> State:
+    def _solved(self, state: State, began: State, way: Tensor | None, room: Tensor, owner: Tensor, placed: Placed | None) -> State:
         """As `LiveSensor._move` alternates. Sensors leave as they are done.
 
         Args:
-            last: Before the object went its `way`, as its points over the cells did (n, 3, rows, columns) [mm].
+            began: Before the object went its `way`, as its points over the cells did (n, 3, rows, columns) [mm].
         """
         layers, rest, gel, body = self._layers, self._rest, self._scene.gel, state.body
         kept = replace(state, owner=owner)
@@ -418,8 +418,8 @@ class LiveBatch:
         if placed is not None:
             met, dragged = layers.moved(facing, p, q), layers.dragged(facing, q)
         if way is not None:
-            face = (last.moved if placed is None else layers.moved(facing, last.pressure, last.shear))[:, 2]
-            share = single.carried_share(last.pressure, face - room, -way[:, 2])
+            face = (began.moved if placed is None else layers.moved(facing, began.pressure, began.shear))[:, 2]
+            share = single.carried_share(began.pressure, face - room, -way[:, 2])
             anchor = layers.carried_along(anchor, share[:, None] * way[:, :2])
         for round in range(single.ROUNDS):
             before = p
@@ -525,8 +525,8 @@ class LiveBatch:
         slope, shear = layers.slope(height), torch.hypot(state.shear[:, 0], state.shear[:, 1])
         work, less = layers.work_and_less(state.thickness, pressure)
         thinner = (less / work.clamp(min=TINY)).flatten()
-        gel = Gel(state.thickness.float(), thinner, layers.modulus, self._layer.cell[0] * self._layer.cell[1])
-        more = self._law(torch.stack(stiffening.measures(gel, pressure, shear, layers.slope(pressure), moved, slope), 1))
+        scale = Scale(state.thickness.float(), thinner, layers.modulus, self._layer.cell[0] * self._layer.cell[1])
+        more = self._law(torch.stack(stiffening.measures(scale, pressure, shear, layers.slope(pressure), moved, slope), 1))
         if self._spring is not None:
             facing = self._facing(layers.ways(state.thickness), state.body, state.springs)
             more = more * stiffening.share(pressure, moved, layers.moved(facing, pressure, state.shear)[:, 2])

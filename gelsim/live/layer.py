@@ -83,8 +83,8 @@ PUNCH_TOLERANCE = 0.05
 """Of the motion that is asked of some cells, RMS."""
 STEPS = 200
 """Of a gradient method, at most."""
-LEAST_MM = 1e-9
-"""Of a way, which nothing is divided by."""
+NO_WAY_MM = 1e-9
+"""Which nothing is divided by."""
 STICK = 1e3
 """Coefficient of friction that stands for "stick"."""
 LOOKS = 3
@@ -693,7 +693,7 @@ def carried_share(pressure: Any, overlap: Any, down: Any) -> Any:
         overlap: That there would be now without any more of it [mm].
         down: How far the object came down on the way [mm].
     """
-    share = (overlap / down.clip(min=LEAST_MM)).clip(min=0.0, max=1.0)
+    share = (overlap / down.clip(min=NO_WAY_MM)).clip(min=0.0, max=1.0)
     return share + (pressure > 0) * (1.0 - share)
 
 

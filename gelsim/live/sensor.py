@@ -26,7 +26,7 @@ from gelsim.live import stiffening
 from gelsim.live.layer import Elastic, Layer, SoftBody, Values, Window
 from gelsim.live.patch import Patch, torque
 from gelsim.live.residual import Residual
-from gelsim.live.stiffening import Gel
+from gelsim.live.stiffening import Scale
 from gelsim.membrane.markers import marker_layout
 from gelsim.optics.camera import marker_pixels
 from gelsim.results import Membrane
@@ -144,9 +144,11 @@ class State:
     def measures(self) -> Values:
         """x that `stiffer` goes by."""
         window, (work, less) = self.window, self._work_and_less
-        gel = Gel(window.thickness, np.float64(less / work), window.layer.material.shear_kpa, window.layer.cell[0] * window.layer.cell[1])
+        scale = Scale(
+            window.thickness, np.float64(less / work), window.layer.material.shear_kpa, window.layer.cell[0] * window.layer.cell[1]
+        )
         steep, slope = window.slope(self.pressure), window.slope(self.rest + self.moved[2])
-        return np.array(stiffening.measures(gel, self.pressure, np.hypot(*self.shear), steep, self.moved[2], slope))
+        return np.array(stiffening.measures(scale, self.pressure, np.hypot(*self.shear), steep, self.moved[2], slope))
 
     @cached_property
     def _work_and_less(self) -> tuple[float, float]:

@@ -53,8 +53,8 @@ class Law:
 
     def on(self, take: Callable[[Any], Any]) -> Law:
         """The same where `take` puts its numbers."""
-        ends = (take(end) for end in (self.low, self.high, self.least, self.most))
-        return Law(*ends, tuple((take(weights), take(bias)) for weights, bias in self.layers))
+        layers = tuple((take(weights), take(bias)) for weights, bias in self.layers)
+        return Law(take(self.low), take(self.high), take(self.least), take(self.most), layers)
 
 
 @lru_cache(maxsize=1)
@@ -62,12 +62,12 @@ def law() -> Law:
     """That which was learnt."""
     with np.load(assets_folder() / NUMBERS) as kept:
         count = len(kept.files) // 2 - 2
-        ends = (kept[end] for end in ("low", "high", "least", "most"))
-        return Law(*ends, tuple((kept[f"weights{i}"], kept[f"bias{i}"]) for i in range(count)))
+        layers = tuple((kept[f"weights{i}"], kept[f"bias{i}"]) for i in range(count))
+        return Law(kept["low"], kept["high"], kept["least"], kept["most"], layers)
 
 
 @dataclass(frozen=True)
-class Gel:
+class Scale:
     """What x are measured by."""
 
     thickness: Any
@@ -79,7 +79,7 @@ class Gel:
     """Area [mm²]."""
 
 
-def measures(gel: Gel, pressure: Any, shear: Any, steep: Any, moved: Any, slope: Any) -> list[Any]:
+def measures(scale: Scale, pressure: Any, shear: Any, steep: Any, moved: Any, slope: Any) -> list[Any]:
     """x, one or (n,) each, of fields (rows, columns) of NumPy or (n, rows, columns) of PyTorch [kPa, mm].
 
     Args:
@@ -89,13 +89,13 @@ def measures(gel: Gel, pressure: Any, shear: Any, steep: Any, moved: Any, slope:
     """
     total, squares = pressure.sum(SUMS) + TINY, (pressure**2).sum(SUMS) + TINY
     found = [
-        -(pressure * moved).sum(SUMS) / total / gel.thickness,
-        squares / (total * gel.shear_kpa),
-        total**2 / squares * gel.cell / gel.thickness**2,
-        ((steep[0] ** 2 + steep[1] ** 2) ** 0.5).sum(SUMS) / total * gel.thickness,
+        -(pressure * moved).sum(SUMS) / total / scale.thickness,
+        squares / (total * scale.shear_kpa),
+        total**2 / squares * scale.cell / scale.thickness**2,
+        ((steep[0] ** 2 + steep[1] ** 2) ** 0.5).sum(SUMS) / total * scale.thickness,
         shear.sum(SUMS) / total,
         (pressure * (slope[0] ** 2 + slope[1] ** 2)).sum(SUMS) / total,
-        gel.less * gel.thickness,
+        scale.less * scale.thickness,
     ]
     return [value.clip(0.0) ** 0.5 for value in found]
 
