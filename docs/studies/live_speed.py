@@ -126,7 +126,7 @@ def main() -> None:
         import matplotlib.pyplot as plt
         from matplotlib.ticker import NullFormatter
 
-        figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), sharex=True)
+        figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), sharex=True, layout="constrained")
         for name in [*PRESSES, TAXIM]:
             mine = [row for row in rows if row[0] == name and row[1] != "reference"]
             for axis, place, title in zip(axes, (3, 4), ("force off [%]", "height off [µm]"), strict=True):
@@ -142,7 +142,6 @@ def main() -> None:
             axes[1].plot(*beside, "xC2", markersize=8)
             axes[1].annotate("Taxim's package", beside, textcoords="offset points", xytext=(-4, 8), fontsize=8)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
-        figure.tight_layout()
         figure.savefig(options.out, dpi=110)
 
 
