@@ -4,7 +4,7 @@
     python docs/studies/live_residual.py press OUT [--numbers 0 400]      # seconds to minutes each; kept in OUT, goes on where it was
     python docs/studies/live_residual.py gather OUT [--processes 2]       # OUT/states.npz
     python docs/studies/live_residual.py train OUT [--device cuda]        # OUT/live_residual.npz, and errors of what was held back
-    python docs/studies/live_residual.py fit OUT                          # OUT/live_stiffening.npz, likewise; half a minute
+    python docs/studies/live_residual.py fit OUT                          # OUT/live_stiffening.npz, likewise; seconds
 
 Presses are those of live's table (`gelsim.bench.live_presses`) of other seeds, a third of them by other shapes and parts, half on gels of
 1.5 to 4 mm, as deep over their thickness. The rigid object goes the same way before the live sensor. Finite elements' displacement is taken
@@ -137,9 +137,8 @@ def states(scene: Scene, truth: Any) -> list[dict[str, Any]]:
 
 
 def _state(scene: Scene, sensor: LiveSensor, state: Any, truth: Any, number: int) -> dict[str, Any]:
-    thickness, layer, known = scene.gel.thickness_mm, state.window.layer, state.learnt
-    whole = [state.over(values, layer.shape) for values in (state.pressure, state.shear)]
-    seen = known.seen(state.field, *whole)
+    thickness, known = scene.gel.thickness_mm, state.learnt
+    seen = known.seen(*state.whole)
     rows, columns = known.shape
     step = np.array(scene.gel.size_mm) / (columns, rows)
     middle, near = live.near(truth, number)

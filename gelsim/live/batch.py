@@ -24,7 +24,7 @@ from gelsim.errors import RenderError, SceneError
 from gelsim.fem import quiet_warp
 from gelsim.live import layer as single
 from gelsim.live import soft, stiffening
-from gelsim.live.layer import Layer
+from gelsim.live.layer import TINY, Layer
 from gelsim.live.sensor import (
     BENDINGS,
     DEEPEST,
@@ -50,7 +50,7 @@ except ImportError as error:
     raise ImportError('gelsim.LiveBatch computes with PyTorch, which is not installed: pip install "gelsim[learn]"') from error
 
 from gelsim.live.batch_kernels import FAR_MM, undersides
-from gelsim.live.batch_layer import TINY, Answers, Layers, Residuals, Ways, bounded, read, stream
+from gelsim.live.batch_layer import Answers, Layers, Residuals, Ways, bounded, read, stream
 from gelsim.live.residual import Residual
 from gelsim.live.stiffening import Scale
 

@@ -26,7 +26,7 @@ from torch import Tensor
 from gelsim.live import layer as single
 from gelsim.live import residual
 from gelsim.live.batch_kernels import bent, bent_stress, carried_along, dragged_waves, lifted_waves, moved_waves, press_on, shear_on
-from gelsim.live.layer import Layer
+from gelsim.live.layer import TINY, Layer
 from gelsim.live.residual import Kernel, Residual
 from gelsim.live.soft import modes
 
@@ -34,7 +34,6 @@ CHECKED = 4
 """Steps of a gradient method between looks whether all sensors are done: to look is to wait for the GPU."""
 BLOCK = 256
 """Threads that share a sensor's sums."""
-TINY = 1e-30
 
 
 def inner(one: Tensor, other: Tensor) -> Tensor:

@@ -83,7 +83,7 @@ PUNCH_TOLERANCE = 0.05
 """Of the motion that is asked of some cells, RMS."""
 STEPS = 200
 """Of a gradient method, at most."""
-NO_WAY_MM = 1e-9
+TINY = 1e-30
 """Which nothing is divided by."""
 STICK = 1e3
 """Coefficient of friction that stands for "stick"."""
@@ -590,7 +590,7 @@ def held_back(window: Window, pressure: Values, spread: Values, dragged: Values)
         spread, dragged: Motion along the face by pressure, and by shear, (2, rows, columns) [mm].
     """
     rows, columns = (cell * np.arange(count, dtype=np.float32) for cell, count in zip(window.layer.cell[::-1], window.shape, strict=True))
-    total = max(float(pressure.sum()), 1e-30)
+    total = max(float(pressure.sum()), TINY)
     x = pressure * (columns - np.float32(float(pressure.sum(axis=0) @ columns) / total))
     y = pressure * (rows - np.float32(float(pressure.sum(axis=1) @ rows) / total))[:, None]
     out, back = (float(np.vdot(x, way[0]) + np.vdot(y, way[1])) for way in (spread, dragged))
@@ -617,7 +617,7 @@ def slip_limit(friction: float, pressure: Any, shear: Any, slope: Any) -> Any:
 def bounded(q: Values, bound: Values) -> Values:
     """Tangential tractions (2, rows, columns), cut to a length (rows, columns)."""
     length = np.sqrt(q[0] ** 2 + q[1] ** 2)
-    return q * np.minimum(bound / np.maximum(length, np.float32(1e-30)), np.float32(1.0))
+    return q * np.minimum(bound / np.maximum(length, np.float32(TINY)), np.float32(1.0))
 
 
 def shear(window: Window, slip: Values, bound: Values, start: Values, away: float) -> tuple[Values, Values]:
@@ -665,7 +665,7 @@ def punch(window: Window, cells: NDArray[np.bool_], motion: Values) -> Values:
     left: Values = motion * cells
     traction, way, size = np.zeros_like(left), left, size_of(left, left)
     allowed = PUNCH_TOLERANCE**2 * size
-    least: Any = np.float32(1e-30)
+    least: Any = np.float32(TINY)
     for _ in range(STEPS):
         if (size <= allowed).all():
             break
@@ -679,7 +679,7 @@ def punch(window: Window, cells: NDArray[np.bool_], motion: Values) -> Values:
 
 def level(pressure: Values, rest: Values) -> Any:
     """Height of the gel at rest [mm] where the pressure's centre is."""
-    return np.float32((pressure * rest).sum() / max(float(pressure.sum()), 1e-30))
+    return np.float32((pressure * rest).sum() / max(float(pressure.sum()), TINY))
 
 
 def carried_share(pressure: Any, overlap: Any, down: Any) -> Any:
@@ -693,7 +693,7 @@ def carried_share(pressure: Any, overlap: Any, down: Any) -> Any:
         overlap: That there would be now without any more of it [mm].
         down: How far the object came down on the way [mm].
     """
-    share = (overlap / down.clip(min=NO_WAY_MM)).clip(min=0.0, max=1.0)
+    share = (overlap / down.clip(min=TINY)).clip(min=0.0, max=1.0)
     return share + (pressure > 0) * (1.0 - share)
 
 

@@ -147,8 +147,8 @@ class State:
         scale = Scale(
             window.thickness, np.float64(less / work), window.layer.material.shear_kpa, window.layer.cell[0] * window.layer.cell[1]
         )
-        steep, slope = window.slope(self.pressure), window.slope(self.rest + self.moved[2])
-        return np.array(stiffening.measures(scale, self.pressure, np.hypot(*self.shear), steep, self.moved[2], slope))
+        fields = self.pressure, np.hypot(*self.shear), window.slope(self.pressure), self.moved[2], self._face_slope
+        return np.array(stiffening.measures(scale, *fields))
 
     @cached_property
     def _work_and_less(self) -> tuple[float, float]:
@@ -174,12 +174,14 @@ class State:
         It is that of the face; and as the layer is as thick as the gel is where the pressure is, what the object is moved along to a place
         where it is thinner asks for work: the gel answers by a force, which goes by its slope at rest.
         """
-        slope = self.window.slope(self.rest + self.moved[2])
         if not (self.gel.any() and self.pressure.any()):
-            return slope
+            return self._face_slope
         _, less = self._work_and_less
-        slope -= np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
-        return slope
+        return self._face_slope - np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
+
+    @cached_property
+    def _face_slope(self) -> Values:
+        return self.window.slope(self.rest + self.moved[2])
 
     @cached_property
     def field(self) -> Values:
@@ -201,10 +203,13 @@ class State:
     @cached_property
     def shown(self) -> Values:
         """The same with what the layer lacks: what is seen of the face. What is felt goes by `field` alone."""
+        return self.field + self.learnt(*self.whole) if self.pressure.any() else self.field
+
+    @property
+    def whole(self) -> tuple[Values, Values, Values]:
+        """Displacement, pressure and shear over the whole grid."""
         shape = self.window.layer.shape
-        if not self.pressure.any():
-            return self.field
-        return self.field + self.learnt(self.field, self.over(self.pressure, shape), self.over(self.shear, shape))
+        return self.field, self.over(self.pressure, shape), self.over(self.shear, shape)
 
     def over(self, values: NDArray, shape: tuple[int, int]) -> NDArray:
         """Values of the window's cells over the whole grid; 0 elsewhere."""

@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from gelsim.live.layer import TINY
 from gelsim.scene.layers import assets_folder
 
 NUMBERS = "models/live_stiffening.npz"
 """Among the assets."""
-TINY = 1e-30
-"""Of sums of pressure, which nothing is divided by."""
 SUMS = -2, -1
 """Rows and columns."""
 

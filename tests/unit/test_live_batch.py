@@ -284,8 +284,8 @@ def test_resets_forget_what_was_and_nothing_else(scene: Scene) -> None:
 
 def test_of_several_objects_each_tells_its_own_force() -> None:
     """A ball and a box, 6 mm apart on a gel of 2.4 mm: what one does to the other falls by e^(-k x), k h = 2.3 at least, so to
-    exp(-2.3 · 3 / 2.4) = 5.6 % between their edges; they share a thickness, 0.5 % from their own, whose third power counts at most; and one
-    that hangs above changes nothing."""
+    exp(-2.3 · 3 / 2.4) = 5.6 % between their edges, of which what forces are multiplied by sees at most 0.28 more; and one that hangs above
+    changes nothing."""
     scene = ball_scene(0.4)
     box = Body(shape="box", width_mm=2.0, length_mm=3.0, height_mm=3.0, rigid=True)
     pair = LiveBatch(scene, 1, (scene.object, box), image=False, device="cpu")

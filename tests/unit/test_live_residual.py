@@ -33,11 +33,6 @@ def pressed(of: Scene) -> State:
     return frame._state
 
 
-def whole(state: State) -> tuple[Values, Values, Values]:
-    shape = state.window.layer.shape
-    return state.field, state.over(state.pressure, shape), state.over(state.shear, shape)
-
-
 def test_of_nothing_it_makes_nothing() -> None:
     """Layer by layer, whatever the biases: a gel at rest is left as it is."""
     rng = np.random.default_rng(0)
@@ -64,7 +59,7 @@ def test_around_the_contact_it_is_what_it_is_over_all(thickness: float, monkeypa
     from gelsim.live.batch_layer import Residuals
 
     state = pressed(scene(thickness_mm=thickness, size_mm=(24.0, 20.0)))
-    fields = whole(state)
+    fields = state.whole
     many = Residuals(state.learnt, "cpu")(*(torch.as_tensor(np.stack([0 * part, part])) for part in fields)).numpy()
     found = state.learnt(*fields)
     assert not many[0].any() and np.abs(found).max() > 5e-3
