@@ -177,7 +177,8 @@ class State:
         if not (self.gel.any() and self.pressure.any()):
             return self._face_slope
         _, less = self._work_and_less
-        return self._face_slope - np.float32(less / (2.0 * float(self.pressure.sum()))) * self.window.slope(self.rest)
+        by: Any = np.float32(less / (2.0 * float(self.pressure.sum())))
+        return self._face_slope - by * self.window.slope(self.rest)
 
     @cached_property
     def _face_slope(self) -> Values:
