@@ -147,7 +147,7 @@ def test_a_press_is_that_of_finite_elements(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_low_wide_one_is_that_of_finite_elements(monkeypatch: pytest.MonkeyPatch) -> None:
-    """R 20 mm, 4 mm high, 0.4 of the thickness deep: 4 % off. Springs of one small contact, or pressure straight up and not
+    """R 20 mm, 4 mm high, 0.4 of the thickness deep: 5 % off. Springs of one small contact, or pressure straight up and not
     along the normals, make it over 8 %."""
     given = scene(press={"depth_mm": 0.96}, radius_mm=20.0, height_mm=4.0)
     truth = gelsim.press(given.replace(fidelity="fast"))
@@ -160,7 +160,7 @@ def test_a_low_wide_one_is_that_of_finite_elements(monkeypatch: pytest.MonkeyPat
 
     def of_first(*of: Any) -> soft.Spring:
         spring = made(*of)
-        return replace(spring, compliances=np.tile(spring.compliances[1], (len(spring.lows), 1, 1)))
+        return replace(spring, compliances=np.tile(spring.compliances[0], (len(spring.lows), 1, 1)))
 
     monkeypatch.setattr(soft, "spring", of_first)  # planted: the contact does not grow
     assert off(gelsim.press(given), truth)[0] > 0.08
