@@ -76,6 +76,8 @@ class PressEnd(enum.StrEnum):
     """Half of the gel and a third of a soft body's height: no further unless a depth is given."""
     GAVE_WAY = "the object gives way"
     """Of a press to a force alone: it buckles, folds or slides off, and bears less and less."""
+    BEYOND = "its force lies beyond where such presses end"
+    """Of a press to a force alone: steps fail, and as its force grows it would not be borne as deep as LIMIT either."""
     SLOW = "its force lies further than its pace allows"
     """Of a press to a force alone: it would go on for hundreds of Newton iterations, by the last ones. Not tried in another way."""
     LOST = "no equilibrium found further on"

@@ -76,6 +76,8 @@ class SolveReport:
     """Approaches [mm] from which it was gone on with in another way."""
     contact_points: int | None = None
     """Quadrature points on a face of the gel."""
+    coat_n_per_m: float | None = None
+    """Of the gel as it was solved, if it had one [N/m]."""
     symmetry: str | tuple[str, ...] | None = None
     """Mirror planes that reduced it, or the kind of its profile."""
     rigid_object: bool | None = None

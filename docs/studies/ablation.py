@@ -147,7 +147,8 @@ def changed(setting: str) -> Iterator[None]:
 
     if setting.startswith("without try "):
         left = int(setting.split()[-1])
-        put(strategy, "WAYS", tuple(way for number, way in enumerate(strategy.WAYS, start=1) if number != left))
+        kept = {name: tuple(way for number, way in enumerate(ways, start=1) if number != left) for name, ways in strategy.WAYS.items()}
+        put(strategy, "WAYS", kept)
     else:
         place, _, said = setting.partition("=")
         module, *owners, name = place.split(".")

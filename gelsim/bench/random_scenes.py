@@ -91,8 +91,9 @@ def said(scene: Layer) -> str:
 
 
 def as_asked(row: Row) -> bool:
-    """Whether a press was solved to its end, or as far as the object bears."""
-    return row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] not in (PressEnd.LOST, PressEnd.SLOW)
+    """Whether a press was solved to its end, or as far as the object bears, without a coat that nobody asked for."""
+    solved = row["status"] == SolveStatus.CONVERGED.name and row["ended_by"] not in (PressEnd.LOST, PressEnd.SLOW)
+    return solved and not row.get("coated")
 
 
 def _failed(rows: list[Row]) -> list[Row]:
@@ -125,7 +126,7 @@ def _remarks(rows: list[Row]) -> str:
     from gelsim.bench.report import table
 
     failed = _failed(rows)
-    limited = [row for row in rows if as_asked(row) and row.get("ended_by") in (PressEnd.LIMIT, PressEnd.GAVE_WAY)]
+    limited = [row for row in rows if as_asked(row) and row.get("ended_by") in (PressEnd.LIMIT, PressEnd.GAVE_WAY, PressEnd.BEYOND)]
     squashed = ", ".join(row["name"] for row in limited)
     share = 1 - len(failed) / len(rows)
     reached = sum(as_asked(row) and row not in limited for row in rows)

@@ -63,11 +63,12 @@ def solve_press(
     progress: Callable[[int, int], None] | None = None,
     enough: Callable[[Deformation], bool] | None = None,
 ) -> Deformation:
-    """Solves a press; one that ends where no equilibrium is found is tried again (`strategy.WAYS`); the one that got furthest is returned.
+    """Solves a press; one that ends where no equilibrium is found is tried again (`strategy.ways`); the one that got furthest is returned.
 
     The second try goes on from where the first stands, with twelve contact points a face at least and volume held at points too; where that
-    does not get there soon, the third begins so at rest. Volume held at points keeps crushed tets from folding, and makes a press at `fast`
-    a few per cent stiffer (docs/mechanics.md). What overlaps is solved again with more points. The press's report says so.
+    does not get there soon, the third begins at rest: so under a soft object, with a coat of the gel under a rigid one. Volume held at
+    points keeps crushed tets from folding, a coat a face from creasing, and either makes a press a few per cent stiffer
+    (docs/mechanics.md). What overlaps is solved again with more points. The press's report says so.
 
     Args:
         gel: The gel's mesh; its `symmetry` must be the body's.
@@ -80,10 +81,10 @@ def solve_press(
     quiet_warp()
     from gelsim.fem.batch import run_batch
     from gelsim.fem.quasistatic import run_press
-    from gelsim.fem.strategy import contact_points, tries
+    from gelsim.fem.strategy import tries
 
     name = "cuda:0" if device == "cuda" else "cpu"
-    marching = tries(enough, contact_points(scene))
+    marching = tries(scene, enough)
     way, course = next(marching)
     while True:
         problem = _problem(way, scene, gel, body, placement, name)
@@ -101,14 +102,12 @@ def _problem(
     way: Try, scene: Scene, gel: TetMesh, body: TetMesh | QuadraticSurface, placement: tuple, device: str, *, patient: bool | None = None
 ) -> PressProblem:
     """A press as a try discretises it; `patient` None: where volume is held from rest on."""
-    from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
+    from gelsim.fem.problem import Numerics, PressProblem
     from gelsim.scene.materials import press_materials
 
     patient = (way.held > 0.0 and not way.goes_on) if patient is None else patient
-    lasts = scene.object.rigid and not way.goes_on  # volume held from then on would seldom help
-    wasted = MOST_WASTED if lasts or way.most_wasted is None else way.most_wasted
-    numerics = Numerics(contact_points=way.contact_points, held=way.held, most_wasted=wasted, patient=patient)
-    return PressProblem(scene, gel, body, placement, press_materials(scene), device, numerics)
+    numerics = Numerics(contact_points=way.contact_points, held=way.held, most_wasted=way.most_wasted, patient=patient)
+    return PressProblem(way.of(scene), gel, body, placement, press_materials(scene), device, numerics)
 
 
 def solves_on_gpu() -> bool:
@@ -140,10 +139,10 @@ def solve_batch(
     """
     quiet_warp()
     from gelsim.fem.batch import run_batch
-    from gelsim.fem.strategy import contact_points, tries
+    from gelsim.fem.strategy import tries
 
     done: dict[int, Deformation] = {}
-    marching = [tries(points=contact_points(scene)) for scene, *_ in bodies]
+    marching = [tries(scene) for scene, *_ in bodies]
     asked = {number: next(one) for number, one in enumerate(marching)}
     while asked:
         groups: dict[Try, dict[int, Course]] = {}

@@ -178,7 +178,8 @@ def march_press(
         march.meets = press.depth_mm is None and end is PressEnd.FORCE
         yield from march.run(progress, before)
     # where the search got to its force straight down, and this is sheared or twisted, it may bear less
-    message, end = "", PressEnd.FORCE if march.stopped else PressEnd.GAVE_WAY if march.gave_way or end is PressEnd.FORCE else end
+    early = march.gave_way or (PressEnd.GAVE_WAY if end is PressEnd.FORCE else end)
+    message, end = "", PressEnd.FORCE if march.stopped else early
     if march.status is not SolveStatus.CONVERGED:
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
@@ -248,8 +249,10 @@ class _March:
         self._snapped = False
         self._iterations = self._factorisations = self._wasted = 0
         self._spent = 0
-        self.most, self.gave_way, self.beyond = (0.0, 0.0), False, ""
+        self.most, self.beyond = (0.0, 0.0), ""
         """Largest normal force [N] so far, and the approach [m] there; what is said of a force that is out of reach."""
+        self.gave_way: PressEnd | None = None
+        """As what it ended before its force: GAVE_WAY or BEYOND."""
         self.bore = 0.0
         """Largest normal force [N] of the tries before: what bears less is no judge of what is out of reach."""
         self.until = np.inf
@@ -391,7 +394,8 @@ class _March:
 
     def _end_here(self, progress: Progress | None) -> bool:
         """Ends the leg in its last equilibrium, which is recorded."""
-        self.gave_way, self.status, self.message = True, SolveStatus.CONVERGED, ""
+        self.gave_way = PressEnd.BEYOND if self.beyond else PressEnd.GAVE_WAY
+        self.status, self.message = SolveStatus.CONVERGED, ""
         self.way = self.way.stays_from(self._leg, self.time)
         if len(self.recorder.approach) < np.searchsorted(self.way.recorded, self.time * (1 + 1e-12)):
             self._keep(progress)
@@ -732,12 +736,12 @@ class _Search(_March):
     def found(self) -> tuple[float, PressEnd, str]:
         """Approach [m] at which the press ends, what it ends at there, and why no further.
 
-        Where the force is not reached that is where it bears most (GAVE_WAY), as far as an equilibrium was found (LOST), or the limit.
+        Where the force is not reached that is where it bears most (`gave_way`), as far as an equilibrium was found (LOST), or the limit.
         """
         if self.stopped:
             return self.approach, PressEnd.FORCE, ""
         if self.gave_way:
-            return self.most[1], PressEnd.GAVE_WAY, self.beyond
+            return self.most[1], self.gave_way, self.beyond
         # a soft edge or corner is crushed before it carries the force: what it did carry is a press worth having
         if self.status is not SolveStatus.CONVERGED and self.approach > 0.0:
             if self.beyond:

@@ -98,6 +98,7 @@ class Recorder:
                 warnings=tuple(told),
                 unknowns=problem.solids.unknowns,
                 steps_halved=steps_halved,
+                coat_n_per_m=problem.scene.gel.coat_n_per_m or None,
                 symmetry=self._symmetry(),
                 rigid_object=problem.scene.object.rigid,
                 linear_solver=problem.linear_solver,

@@ -9,10 +9,13 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
 from gelsim.errors import PressEnd, SolveStatus
-from gelsim.fem.quasistatic import SOON, Course
+from gelsim.fem.problem import MOST_WASTED
+from gelsim.fem.quasistatic import PACE, SOON, Course
 from gelsim.results import Deformation
 from gelsim.scene.definition import Scene
+from gelsim.scene.materials import gel_material
 from gelsim.shape.rims import rims_on_gel
+from gelsim.units import KPA_PER_PA
 
 EDGE_POINTS = 12
 """Quadrature points on a face where sharp edges of a rigid object touch the gel, on meshes that resolve them: at `balanced` a star and a
@@ -38,15 +41,28 @@ class Try:
     """Quadrature points on a face."""
     held: float = 0.0
     """Shear moduli of κ by which volume is held at points (`assembly.Solids.hold_volume`); above 0 steps are taken with more care too."""
-    most_wasted: int | None = None
-    """Newton iterations of solves that failed, after which a march of it ends; None, and of rigid bodies at rest: `MOST_WASTED`."""
+    most_wasted: int = MOST_WASTED
+    """Newton iterations of solves that failed, after which a march of it ends."""
     goes_on: bool = False
     """Begins where the try before it ended, not at rest."""
+    coat_mm: float = 0.0
+    """Thickness of a coat of the gel's own silicone, which a bare gel is given so that it does not crease (`coat.py`)."""
+
+    def of(self, scene: Scene) -> Scene:
+        """The scene as it is solved."""
+        if not self.coat_mm:
+            return scene
+        return scene.replace(gel=replace(scene.gel, coat_n_per_m=self.coat_mm * KPA_PER_PA * gel_material(scene).youngs_modulus))
 
 
-PLAIN, HELD = Try(), Try(EDGE_POINTS, held=20.0)
-WAYS = (replace(PLAIN, most_wasted=SOON), replace(HELD, goes_on=True, most_wasted=SOON), HELD)
-"""The tries that a press may have, one after the other until one reaches its end."""
+PLAIN, HELD, COATED = Try(), Try(EDGE_POINTS, held=20.0), Try(EDGE_POINTS, coat_mm=0.1)
+GOES_ON = replace(HELD, goes_on=True, most_wasted=SOON)
+WAYS = {
+    "soft": (replace(PLAIN, most_wasted=SOON), GOES_ON, HELD),
+    "rigid": (replace(PLAIN, most_wasted=PACE), GOES_ON, COATED),
+}
+"""The tries that a press of a soft object, or of a rigid one, may have, one after the other until one reaches its end: a soft body folds,
+under a rigid one the gel's face creases."""
 
 
 def contact_points(scene: Scene) -> int:
@@ -61,16 +77,21 @@ def _edges_touch(scene: Scene) -> bool:
     return len(rims_on_gel(scene)) > 0
 
 
-def tries(
-    enough: Callable[[Deformation], bool] | None = None, points: int = PLAIN.contact_points
-) -> Generator[tuple[Try, Course], Deformation, Deformation]:
+def ways(scene: Scene) -> list[Try]:
+    """The tries of a scene. One whose gel has a coat is given no other."""
+    points = contact_points(scene)
+    those, bare = WAYS["rigid" if scene.object.rigid else "soft"], scene.gel.coat_n_per_m == 0.0
+    return [replace(way, contact_points=max(way.contact_points, points)) for way in those if bare or not way.coat_mm]
+
+
+def tries(scene: Scene, enough: Callable[[Deformation], bool] | None = None) -> Generator[tuple[Try, Course], Deformation, Deformation]:
     """Yields what to try and where it begins, is sent what became of it, and returns the press that got furthest.
 
     Where the approach of a force was found in several tries, all begin again to record the way there. Where a press overlaps by more than
-    CLOSE, there is another, and the closer is returned. `points`: `contact_points`.
+    CLOSE, there is another, and the closer is returned.
     """
-    ways = [replace(way, contact_points=max(way.contact_points, points)) for way in WAYS]
-    course, best, number, left, turns = Course(), None, 0, ways, []
+    all_ways = ways(scene)
+    course, best, number, left, turns = Course(), None, 0, all_ways, []
     while left:
         way, *left = left
         if not way.goes_on:
@@ -84,7 +105,7 @@ def tries(
         press = yield way, course
         press = _reported(press, turns, number)
         if course.searched:
-            course.searched, left, best = False, ways, None
+            course.searched, left, best = False, all_ways, None
             continue
         best = further(best, press)
         if not press.lost:
@@ -93,7 +114,7 @@ def tries(
     end, overlap = best.report.ended_by, best.penetration.max()
     easy = number == 1 and best.report.steps_halved == 0
     if easy and overlap > CLOSE and (end is PressEnd.DEPTH or end is PressEnd.FORCE or end is PressEnd.PATH):
-        way = replace(ways[0], contact_points=2 * ways[0].contact_points)
+        way = replace(all_ways[0], contact_points=2 * all_ways[0].contact_points)
         press = _reported((yield way, Course(found=(best.approach[-1], end, ""))), [(way, 0.0)], 2)
         if not press.lost and press.report.ended_by is end and press.penetration.max() < overlap:
             best = press
@@ -113,6 +134,11 @@ def _reported(press: Deformation, turns: Sequence[tuple[Try, float]], number: in
     if way.held > 0.0:
         told = f"with {way.contact_points} contact points a face, and volume held at points{since}, which makes tets stiffer"
         press = press.warned(f"did not reach its end at first: solved {told}")
+    if way.coat_mm > 0.0:
+        press = press.warned(
+            f"did not reach its end bare, as the gel's face creases at a rim: solved with a coat of {press.report.coat_n_per_m:.2g} N/m, "
+            f"{way.coat_mm:g} mm of its own silicone, which bears some per cent more (gel.coat_n_per_m)"
+        )
     return press
 
 

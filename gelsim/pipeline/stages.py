@@ -625,7 +625,7 @@ def _report(scene: Scene, device: str, record: Record, deformation: Deformation,
             f"the bodies overlap by up to {overlap:.2g} mm, so that the membrane's pictures are off there"
             + (f": a sharp or crushed edge; --fidelity {finer} shows how much" if finer else "")
         )
-    bare = scene.gel.coat_n_per_m == 0.0 and scene.object.rigid and scene.fidelity in ("balanced", "reference")
+    bare = deformation.report.coat_n_per_m is None and scene.object.rigid and scene.fidelity in ("balanced", "reference")
     if bare and (squeezed := deformation.gel.least_stretches(-1).min()) < CREASED:
         noted.append(
             f"the gel's face is squeezed to {squeezed:.1g} of its length: a bare one creases there, which takes long to solve or has no "

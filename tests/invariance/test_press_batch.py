@@ -20,7 +20,7 @@ from gelsim.fem.krylov import BatchedGmres
 from gelsim.fem.linear import SHIFTS, BatchedSystem, SymmetricSystem, find_mkl
 from gelsim.fem.newton import NewtonOptions, Residual
 from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
-from gelsim.fem.quasistatic import SOON, Course, Request
+from gelsim.fem.quasistatic import PACE, SOON, Course, Request
 from gelsim.fem.strategy import WAYS
 from gelsim.pipeline import stages
 from gelsim.results import Deformation, SolveReport
@@ -157,8 +157,9 @@ def test_what_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_who_goes_on_and_how_long_each_may_fail() -> None:
-    """The last has all its patience."""
-    assert [(way.goes_on, way.most_wasted) for way in WAYS] == [(False, SOON), (True, SOON), (False, None)]
+    """The last has all its patience; a rigid body's first more than a soft one's."""
+    for kind, first in (("soft", SOON), ("rigid", PACE)):
+        assert [(way.goes_on, way.most_wasted) for way in WAYS[kind]] == [(False, first), (True, SOON), (False, MOST_WASTED)]
 
 
 @pytest.mark.skipif(find_mkl() is None, reason="SuperLU does not count negative eigenvalues")

@@ -182,8 +182,8 @@ def test_a_random_scene_that_lost_its_equilibrium_before_its_force_has_not_conve
     section = random_scenes.SECTION
     assert [row["name"] for row in section.listed(rows)] == ["SLOW", "LOST", "none", "no scene"]
     said = section.remarks(rows)
-    assert "4 of 8 converge" in said and "To a force that they do not carry: LIMIT, GAVE_WAY." in said
-    assert "Without these: 25.00 %." in said
+    assert "5 of 9 converge" in said and "To a force that they do not carry: LIMIT, GAVE_WAY, BEYOND." in said
+    assert "Without these: 22.22 %." in said
 
 
 def _misbehaves(how: str) -> dict[str, object]:

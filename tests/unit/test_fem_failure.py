@@ -14,6 +14,7 @@ from fem_fixtures import MM, TOLERANCE, Array, ball_scene, flat_gel, problem_of,
 from planar_fixtures import press_of
 
 import gelsim.fem
+from gelsim.bench import random_scenes
 from gelsim.bench.presses import ball
 from gelsim.errors import MeshingError, PressEnd, SolveError, SolveStatus
 from gelsim.fem import quasistatic, strategy
@@ -21,7 +22,7 @@ from gelsim.fem.batch import run_batch
 from gelsim.fem.energy import EnergyBalance
 from gelsim.fem.newton import Newton, NewtonOptions, NewtonReport, forgotten, spent, stalls
 from gelsim.fem.problem import MOST_WASTED, Numerics, PressProblem
-from gelsim.fem.quasistatic import SOON, run_press
+from gelsim.fem.quasistatic import PACE, SOON, run_press
 from gelsim.pipeline import stages
 from gelsim.results import Deformation, ErrorEstimate, SolveReport
 from gelsim.scene.definition import Body, Gel, Press, Scene
@@ -448,13 +449,32 @@ def test_steps_down_from_saddles_of_soft_bodies_are_counted_where_a_try_follows(
     assert counted == [like_others, down, down, down] and brief == [like_others, like_others, down, down]
 
 
-def test_a_rigid_bodys_first_try_is_not_given_up_sooner() -> None:
-    """A soft body's is; what goes on is of both."""
-    wasted = []
-    for rigid in (False, True):
-        scene = build_scene({"fidelity": "fast", "object": {"rigid": rigid}})
-        wasted.append([gelsim.fem._problem(way, scene, *stages.bodies(scene), "cpu").most_wasted for way in strategy.WAYS])
-    assert wasted == [[SOON, SOON, MOST_WASTED], [MOST_WASTED, SOON, MOST_WASTED]]
+@pytest.mark.parametrize(("rigid", "coat", "last"), [(False, 0.0, 0.0), (True, 0.0, 0.1), (True, 2.0, None)])
+def test_under_a_rigid_body_a_bare_gel_is_given_a_coat_at_last(rigid: bool, coat: float, last: float | None) -> None:
+    """As of so much [mm] of its own silicone; a soft body has volume held instead, and a gel that has a coat keeps that one."""
+    gel = {"youngs_modulus_kpa": 50.0, "coat_n_per_m": coat}
+    scene = build_scene({"fidelity": "fast", "gel": gel, "object": {"rigid": rigid}})
+    ways = strategy.ways(scene)
+    problems = [gelsim.fem._problem(way, scene, *stages.bodies(scene), "cpu") for way in ways]
+    first, then = (PACE if rigid else SOON), ([] if last is None else [MOST_WASTED])
+    assert [one.most_wasted for one in problems] == [first, SOON, *then]
+    assert [one.scene.gel.coat_n_per_m for one in problems] == pytest.approx([coat, coat, *([] if last is None else [50.0 * last])])
+    assert [one.held > 0.0 for one in problems] == [False, True, *([] if last is None else [not rigid])]
+
+
+def test_a_coat_that_nobody_asked_for_is_told(deformation: Deformation) -> None:
+    """And is not as asked."""
+    lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
+    done = replace(deformation, report=SolveReport(ended_by=PressEnd.DEPTH, coat_n_per_m=5.0, steps_halved=1))
+    tries = strategy.tries(Scene(object=Body(shape="box", rigid=True)))
+    next(tries)
+    way, course = tries.send(lost)
+    assert way.coat_mm > 0.0 and not way.goes_on and course.before is None, "nothing went on from the first: it begins again"
+    with pytest.raises(StopIteration) as end:
+        tries.send(done)
+    assert "a coat of 5 N/m" in "".join(end.value.value.report.warnings)
+    row = {"status": "CONVERGED", "ended_by": PressEnd.DEPTH}
+    assert random_scenes.as_asked(row | {"coated": False}) and not random_scenes.as_asked(row | {"coated": True})
 
 
 def test_of_two_tries_the_better_is_kept() -> None:
@@ -496,7 +516,7 @@ def test_contact_points_are_more_where_faces_let_each_other_through(shape: str, 
     body = Body(shape=shape, rigid=rigid, **({"width_mm": 30.0, "length_mm": 30.0} if shape == "flat" else {}))
     scene = Scene(object=body, gel=Gel(profile="flat"), press=Press(depth_mm=0.3), fidelity=fidelity)
     assert strategy.contact_points(scene) == points
-    asked, _ = next(strategy.tries(points=points))
+    asked, _ = next(strategy.tries(scene))
     assert asked.contact_points == points
     assert gelsim.fem._problem(asked, scene, *stages.bodies(scene), "cpu").contact.points == points
 
@@ -743,7 +763,7 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
     """Its tries that go on it has: one, and then one from rest, if it had to."""
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
     enough = None if enough_mm is None else lambda found: found.approach[-1] >= enough_mm * MM
-    tries, made = strategy.tries(enough), []
+    tries, made = strategy.tries(Scene(), enough), []
     way, course = next(tries)
     with pytest.raises(StopIteration) as end:
         while True:
@@ -757,7 +777,7 @@ def test_a_press_that_has_got_far_enough_does_not_begin_again(enough_mm: float |
 def test_a_force_that_was_found_is_recorded_however_far_an_earlier_try_had_got(deformation: Deformation) -> None:
     lost = replace(deformation, status=SolveStatus.MAX_ITERATIONS, report=SolveReport(ended_by=PressEnd.LOST))
     there = replace(deformation, report=SolveReport(ended_by=PressEnd.FORCE))
-    tries = strategy.tries(lambda _: True)
+    tries = strategy.tries(Scene(), lambda _: True)
     _, course = next(tries)
     course.before = SimpleNamespace(approach=0.0)  # type: ignore[assignment]
     way, _ = tries.send(lost)
@@ -782,7 +802,7 @@ def test_a_press_that_overlaps_has_twice_the_points_and_the_closer_of_both_is_ke
         overlap = np.full_like(deformation.penetration, micrometres * 1e-6)
         return replace(deformation, penetration=overlap, report=SolveReport(ended_by=PressEnd.DEPTH, steps_halved=steps_halved))
 
-    tries = strategy.tries(points=24)
+    tries = strategy.tries(Scene(object=Body(rigid=True), fidelity="fast"))
     next(tries)
     given = [press(first_um, steps_halved=halved)]
     if second_um is not None:
