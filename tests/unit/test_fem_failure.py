@@ -635,6 +635,17 @@ def test_a_search_for_a_force_records_its_own_way() -> None:
     assert found.force == pytest.approx(again.force, rel=loose, abs=1e-6)
 
 
+def test_a_short_last_step_does_not_bend_the_work_of_the_one_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spring that is pressed in one step, and a fiftieth of it further to its force. Planted: a cubic through both steps."""
+    balance: Any = object.__new__(EnergyBalance)
+    balance.problem = SimpleNamespace(copies=1)
+    balance._time, balance._power, balance._legs = [0.0, 1.0, 1.02], [(0.0, 1.0), (1.0, 1.05)], [0]
+    balance._stored, balance._changed, balance._lost, balance._overlap_work = 0.5 + 0.0205, 0.0, 0.0, 0.0
+    assert abs(balance.report().drift) < 1e-3
+    monkeypatch.setattr("gelsim.fem.energy._SHORT", 0.0)
+    assert balance.report().drift < -0.1
+
+
 @pytest.mark.parametrize("shear_mm", [0.0, 0.3])
 def test_a_press_ends_at_its_force_where_its_search_ended_beside_it(shear_mm: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: the search says a tenth less of the way; the force goes as the depth to the power of 1.5. These coarse faces
