@@ -82,3 +82,8 @@ class PressEnd(enum.StrEnum):
     """Of a press to a force alone: it would go on for hundreds of Newton iterations, by the last ones. Not tried in another way."""
     LOST = "no equilibrium found further on"
     """Also of a press to a force that counts as converged: the states on the way to where the search for the force ended."""
+
+    @property
+    def wanted(self) -> bool:
+        """Whether that is what the press was asked for."""
+        return self in (PressEnd.FORCE, PressEnd.DEPTH, PressEnd.PATH)

@@ -5,8 +5,7 @@
     python docs/studies/random_scenes.py --scenes 1000 --read random.jsonl
 
 With --resume scenes that --out holds are not solved again. With --parts mesh parts are pressed in their place
-(`gelsim.bench.mesh_parts`), whose files are written into that folder; --coat gives every gel a coat (`gel.coat_n_per_m`). One process a
-worker, of one thread each; a line a scene as it ends.
+(`gelsim.bench.mesh_parts`), whose files are written into that folder. One process a worker, of one thread each; a line a scene as it ends.
 Times of many at once are several times those of one alone.
 """
 
@@ -34,10 +33,9 @@ def named(seed: int, index: int) -> str:
     return f"{seed}:{index}"
 
 
-def measured(seed: int, index: int, parts: Path | None = None, coat: float = 0.0) -> Row:
-    """Row of one scene, or of a mesh part whose file is kept in a folder; `coat` in N/m."""
+def measured(seed: int, index: int, parts: Path | None = None) -> Row:
+    """Row of one scene, or of a mesh part whose file is kept in a folder."""
     scene, begun = (mesh_parts if parts else random_scenes).draw(index, seed), time.perf_counter()
-    scene["gel"]["coat_n_per_m"] = coat
     row: Row = {"key": named(seed, index), "seed": seed, "index": index, "scene": random_scenes.said(scene)}
     try:
         row |= presses.measure(mesh_parts.with_file(scene, parts) if parts else scene)
@@ -74,7 +72,6 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seconds", type=float, help="what is not done by then is left")
     parser.add_argument("--resume", action="store_true")
-    parser.add_argument("--coat", type=float, default=0.0, metavar="N_PER_M")
     parser.add_argument("--parts", type=Path, metavar="FOLDER", help="press mesh parts; FOLDER keeps their files")
     into = parser.add_mutually_exclusive_group(required=True)
     into.add_argument("--out", type=Path)
@@ -87,7 +84,7 @@ def main() -> None:
     ledger = Ledger(options.out, resume=options.resume, force=not options.resume)
     with in_environment(settings(1)):
         pool = ProcessPoolExecutor(options.workers, mp_context=multiprocessing.get_context("spawn"))
-        tasks = [pool.submit(measured, *key, options.parts, options.coat) for key in keys if named(*key) not in ledger.rows]
+        tasks = [pool.submit(measured, *key, options.parts) for key in keys if named(*key) not in ledger.rows]
         try:
             for task in as_completed(tasks, options.seconds):
                 ledger.add(task.result())

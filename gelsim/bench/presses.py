@@ -53,7 +53,8 @@ def measure(scene: Layer, further: Callable[[Deformation], Row] | None = None) -
         press = stages.press(made, device="cpu", record=record, throw=False)
     except GelsimError as error:
         return row | {"status": type(error).__name__, "message": str(error), "seconds": round(time.perf_counter() - start, 2)}
-    row |= {"seconds": round(record.seconds["press"], 2), "coated": bool(press.report.coat_n_per_m) > bool(made.gel.coat_n_per_m)}
+    given = press.report.coat_n_per_m is not None and made.gel.coat_n_per_m == 0.0
+    row |= {"seconds": round(record.seconds["press"], 2), "coated": given}
     return row | facts(press, made.press.frames) | (further(press) if further else {})
 
 

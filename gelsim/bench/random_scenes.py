@@ -126,7 +126,7 @@ def _remarks(rows: list[Row]) -> str:
     from gelsim.bench.report import table
 
     failed = _failed(rows)
-    limited = [row for row in rows if as_asked(row) and row.get("ended_by") in (PressEnd.LIMIT, PressEnd.GAVE_WAY, PressEnd.BEYOND)]
+    limited = [row for row in rows if as_asked(row) and not PressEnd(row["ended_by"]).wanted]
     squashed = ", ".join(row["name"] for row in limited)
     share = 1 - len(failed) / len(rows)
     reached = sum(as_asked(row) and row not in limited for row in rows)

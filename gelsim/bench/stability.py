@@ -123,7 +123,7 @@ def _judged(rows: list[Row]) -> list[Row]:
                 ("drift_percent", "energy drift {:g} %", row["states"] > FEWEST_STEPS and abs(row["drift_percent"]) > MOST_DRIFT_PERCENT),
             ):
                 wrong += [text.format(row[field])] if bad else []
-            short = row["ended_by"] in (PressEnd.LIMIT, PressEnd.GAVE_WAY, PressEnd.BEYOND, PressEnd.SLOW, PressEnd.LOST)
+            short = not PressEnd(row["ended_by"]).wanted
             wrong += [f"ended at {row['approach_mm']:g} mm"] if short or row["states"] < row["states_wanted"] else []
         other, bound, _ = AGREEMENTS.get(row["name"], ("", 0.0, ""))
         if "force_n" in row and "force_n" in known.get(other, {}):

@@ -184,8 +184,6 @@ def march_press(
         if end is not PressEnd.LOST and problem.memory is None:  # else the next one has to search itself
             course.found, course.before = found, march
         ways = ["a shorter motion"] if end is PressEnd.PATH else ["more frames", "a smaller depth_mm"]
-        if problem.scene.object.rigid and problem.scene.gel.coat_n_per_m == 0.0:
-            ways.append("a coat that keeps the gel from creasing at rims (gel.coat_n_per_m = 5)")
         if problem.scene.fidelity != "fast":
             ways.append("--fidelity fast to see where it goes")
         end = PressEnd.LOST
